@@ -143,6 +143,7 @@ class Carried(NamedTuple):
     log_evidence: float
     mean: Floats  # (n,)
     cov: Floats  # (n, n)
+    of_variance: float  # for variances
     effective: float  # for means
     lineages: float  # for the evidence
 

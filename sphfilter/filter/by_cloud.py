@@ -113,8 +113,8 @@ def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading |
     else:  # none of the few sees the reading: a part of the many goes on beside them
         shadow = _part_of(found.points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
-    least, bias = least_error(found.effective, state.size), state.pace.bias
-    errors = errors_told(told.mean, told.variance, least, bias)
+    leasts = [least_error(number, state.size) for number in (found.effective, found.of_variance)]
+    errors = errors_told(told.mean, told.variance, *leasts, state.pace.bias)
     pace = state.pace._replace(legs=0, bias=0.0)
     state = state._replace(points=found.points, shadow=shadow, told=told, pace=pace)
     unsure = evidence_error(told.log_evidence, found.lineages, state.size, len(found.moments[0]))

@@ -43,13 +43,14 @@ class Weighed(NamedTuple):
     log_evidence: float
     effective: float  # 0 where no point can have been read: the points are the prior's
     lineages: float
+    of_variance: float
     moments: tuple[Floats, Floats]  # mean (n,), covariance (n, n)
 
     @classmethod
     def of(cls, found: Carried, points: Points, before: float = 0.0) -> "Weighed":
         """What was found, in these points, where readings of the same time had this log-evidence before."""
-        moments = found.mean, found.cov
-        return cls(points, found.log_evidence - before, found.effective, found.lineages, moments)
+        numbers, moments = (found.effective, found.lineages, found.of_variance), (found.mean, found.cov)
+        return cls(points, found.log_evidence - before, *numbers, moments)
 
 
 def weighed(points: Points, sensor: Stacked, key: int) -> Weighed:
@@ -86,12 +87,18 @@ def _best(points: Points, sensor: Stacked, key: int) -> Carried:
     return best
 
 
+def _carriers(found: Carried) -> float:
+    """Points that carry a posterior: its weights, and its variances."""
+    return min(found.lineages, found.of_variance)
+
+
 def _better(best: Carried, other: Carried | None) -> Carried:
     """The one that has far more carriers; where both have next to none, else that of the higher evidence.
 
-    Both know the evidence without bias: what has missed the posterior says too little, most of the time.
+    Both know the evidence without bias: what has missed the posterior says too little, most of the time. What
+    has found its peak may have missed the tails that carry its variance.
     """
-    if other is None or other.lineages > _FAR_MORE * best.lineages:
+    if other is None or _carriers(other) > _FAR_MORE * _carriers(best):
         return other or best
     few = max(best.lineages, other.lineages) < _NEXT_TO_NONE
     return other if few and other.log_evidence > best.log_evidence else best

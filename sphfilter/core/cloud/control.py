@@ -92,10 +92,13 @@ def least_error(number, size):
 
 
 @register_jitable
-def errors_told(mean, variance, least, bias):
-    """Errors of mean and variances: what a shadow shows (squares), at least that of few points, and steps."""
+def errors_told(mean, variance, least, wider, bias):
+    """Errors of mean and variances: what a shadow shows (squares), at least that of few points, and steps.
+
+    `least` is that of the mean; and `wider`, if it is more, one of which a variance has √2.
+    """
     root = math.sqrt(2.0)  # of what a mean is off by, a variance is, where nothing more is known
-    of_variance = both(max(error_by(variance), root * least), root * bias)
+    of_variance = both(max(error_by(variance), root * max(least, wider)), root * bias)
     return both(max(error_by(mean), least), bias), of_variance
 
 

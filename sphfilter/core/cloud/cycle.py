@@ -140,8 +140,9 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         _keep(one.mean, one.cov, m, P, j)
         _keep(one.found[4], one.found[5], x, C, j)
         evidence[j] = one.found[3]
-        unsure[j] = evidence_error(squares[2], one.found[7], count, n)
-        error[j], wider[j] = errors_told(squares[0], squares[1], least_error(one.found[6], count), bias)
+        unsure[j] = evidence_error(squares[2], one.found[8], count, n)
+        leasts = least_error(one.found[7], count), least_error(one.found[6], count)
+        error[j], wider[j] = errors_told(squares[0], squares[1], *leasts, bias)
         away, spread = foreseen(about[3], one.y, one.w, one.mean, one.cov)
         _keep(away, spread, off, S, j)
         if not _unremarkable(error[j], squares, away, spread, bounds):
@@ -248,7 +249,7 @@ def _cycled(about, cloud, nets, keys, curve):
     found = _carried_at(parts[4])(z, log_w, ancestor, older)
     mean, cov = np.empty(n), np.empty((n, n))
     weighted_moments(y, w, mean, cov)
-    enough = found[7] >= min(FEW * count, ALIKE * effective(w))
+    enough = min(found[6], found[8]) >= min(FEW * count, ALIKE * effective(w))
     usual = enough and wrong == 0 and found[3] > -np.inf
     return _Cycled(usual, y, w, mean, cov, found)
 
@@ -261,7 +262,7 @@ def _told(s, one, two, count):
     first, second, _ = compared(one.mean, one.cov, two.mean, two.cov)
     ahead = error_by(smoothed(mean, apart_by(first, second, n)))
     if mean != mean:
-        mean = expected_square(two.found[6])
+        mean = expected_square(two.found[7])
         variance = (n + 1.0) * mean
     first, second, most = compared(one.found[4], one.found[5], two.found[4], two.found[5])
     mean, variance = smoothed(mean, apart_by(first, second, n)), smoothed(variance, most)

@@ -24,6 +24,7 @@ _MIRRORED = 4
 #: scenes: 1.2 to 1.6).
 _BEYOND = 1.5
 _CHANCE = 0.25  # of the square by chance, the least that counts: χ² of four is below 1 in nine of a hundred
+_CLEAR = 2.0  # times that of a variance by chance, beyond which it counts: two standard deviations
 #: Standard deviations: rms distance of paths that have parted (√2 where nothing hangs together), and
 #: parts of an interval, of which the first is looked at then.
 _ASTRAY, _PARTS = 0.5, 64
@@ -97,10 +98,11 @@ def tried(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, m
             number, before, again = max(least, FIRST_TRIED) if stiff else number, np.inf, False
             continue
         astray = too_much > 1.0 and chance * math.sqrt(len(x) / _GROUPS) > _ASTRAY
-        if not too_much > 1.0 or (stiff and (2 * number > most or not bias < HELPED * before)):
+        helped = bias < (HELPED if stiff else 1.0) * before
+        in_vain = again and not helped and number >= 2 * best  # not even twice the steps help
+        if not too_much > 1.0 or (stiff and (2 * number > most or in_vain)):
             return number, stiff, bias, 1.0 - finite_rows(fine)[0].mean(), astray
-        helped = bias < before
-        if not stiff and again and not helped and number >= 2 * best:  # not even twice the steps help
+        if in_vain:
             number, stiff, before, again = max(least, FIRST_TRIED), True, np.inf, False
             continue
         if again and not helped:  # by chance, perhaps
@@ -172,10 +174,13 @@ def parted(coarse, fine, groups):
     Both are standard deviations, the root of the mean square over groups of neighbours and states: what steps
     do to one branch of a density is judged by the width of that branch, which a few that steps threw out do
     not make wider. Those that the model carries to infinity do not count, as long as they are few.
+
+    Variances that are clearly apart, over all groups, count too: noise that a stiff drift damps is wrong where
+    no mean is. By √2 of what a mean is off by, a variance is.
     """
     K, n = fine.shape
     size, total, chance = K // groups, 0.0, 0.0
-    ends = np.empty(size)
+    ends, wider, scatter_of_wider = np.empty(size), np.zeros(n), np.zeros(n)
     for g in range(groups):
         for a in range(n):
             count = 0
@@ -212,6 +217,16 @@ def parted(coarse, fine, groups):
             total += off * off / (variance * n * groups)
             alone = max(scatter - _MIRRORED * count * off * off, 0.0) / (count * (count - _MIRRORED))
             chance += alone / (variance * n * groups)
+            together = 0.0
+            for i in range(g * size, (g + 1) * size):
+                if low - reach <= fine[i, a] <= high + reach:
+                    more = (coarse[i, a] - mean - off) ** 2 - (fine[i, a] - mean) ** 2
+                    together += more / (variance * count * groups)
+                if (i + 1) % _MIRRORED == 0:
+                    wider[a], scatter_of_wider[a] = wider[a] + together, scatter_of_wider[a] + together**2
+                    together = 0.0
+    for a in range(n):
+        total += 0.5 * max(wider[a] ** 2 - _CLEAR * scatter_of_wider[a], 0.0) / n
     apart = math.sqrt(max(total - chance, _CHANCE * chance)) if total < np.inf else np.inf
     return apart, math.sqrt(chance)
 

@@ -182,8 +182,8 @@ def carriers(x, log_w, ancestor, older):
         Those with weights, of sum one, and their ancestors; all, without weights, where none has any.
     log_evidence : float
     mean, cov : ndarray, shapes (n,), (n, n)
-    effective, lineages : float
-        Numbers for the mean and for the evidence.
+    of_variance, effective, lineages : float
+        Numbers for variances, for the mean and for the evidence.
     """
     N, n = x.shape
     log_w, w, mean, cov = log_w.copy(), np.zeros(N), np.zeros(n), np.zeros((n, n))
@@ -192,7 +192,7 @@ def carriers(x, log_w, ancestor, older):
         log_w[i] = log_w[i] if fine[i] else -np.inf
     log_evidence = normalise(log_w, w)
     if not abs(log_evidence) < np.inf:
-        return x, w, _lines(ancestor, older), -np.inf, mean, cov, 0.0, 0.0
+        return x, w, _lines(ancestor, older), -np.inf, mean, cov, 0.0, 0.0, 0.0
     heavy = 0
     for i in range(N):
         heavy += w[i] > 0.0
@@ -211,7 +211,35 @@ def carriers(x, log_w, ancestor, older):
         together, part = _squares(added, cov)
         if part > 0.0 and 1.0 - together > ROUNDING:  # else one has left all, and tells nothing
             number = min(number, max((1.0 - together) / part, 1.0))
-    return x, w, _lines(ancestor, older), log_evidence, mean, cov, number, lineages
+    return (
+        x,
+        w,
+        _lines(ancestor, older),
+        log_evidence,
+        mean,
+        cov,
+        of_variances(x, w, mean, cov),
+        number,
+        lineages,
+    )
+
+
+@jit
+def of_variances(x, w, mean, cov):
+    """Number of random points of a Gaussian whose variances would be as unsure as those of x (N, n).
+
+    Weights w (N,) have sum one. Of heavy tails a few points carry the variance, and the mean knows nothing of
+    it; of the states the worst counts.
+    """
+    (N, n), least = x.shape, np.inf
+    for a in range(n):
+        s = 0.0
+        for i in range(N):
+            more = w[i] * ((x[i, a] - mean[a]) ** 2 - cov[a, a])
+            s += more * more
+        if s > 0.0:
+            least = min(least, 2.0 * cov[a, a] ** 2 / s)
+    return least
 
 
 @jit
