@@ -175,8 +175,8 @@ def parted(coarse, fine, groups):
     do to one branch of a density is judged by the width of that branch, which a few that steps threw out do
     not make wider. Those that the model carries to infinity do not count, as long as they are few.
 
-    Variances that are clearly apart, over all groups, count too: noise that a stiff drift damps is wrong where
-    no mean is. By √2 of what a mean is off by, a variance is.
+    Variances that are clearly apart, over all groups, count too, by √2 of what a mean is off by: noise that a
+    stiff drift damps is wrong where no mean is.
     """
     K, n = fine.shape
     size, total, chance = K // groups, 0.0, 0.0
