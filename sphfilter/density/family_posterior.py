@@ -12,7 +12,7 @@ from .family import ASTRAY, Family, moments_apart, node_moments, node_weights, t
 
 _SETTLED, _ROUNDS = 1e-3, 8  # of the moments in the frame; rounds
 _LEAST, _MOST, _STEP = 0.05, 4.0, 3.0  # variances, and shift, that one round goes to
-#: Times the frame, in which nodes are looked at once more: two modes, both rules see alike. A Gaussian's are off
+#: Times the frame, in which nodes are looked at once more: both rules see two modes alike. A Gaussian's are off
 #: by 5e-5 then (of up to three states), and by 5e-4 those of cubics.
 _WIDER, _WIDER_OF_CUBICS = 1.1, 1.05
 
