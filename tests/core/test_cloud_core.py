@@ -105,6 +105,16 @@ def test_stiff_drifts_are_followed_in_parts():
     np.testing.assert_allclose(x, 1.0, atol=0.02)
 
 
+@pytest.mark.parametrize("rate", [6.0, 12.7, 40.0])
+def test_steps_see_variances_that_a_stiff_drift_damps(rate):
+    """Beside two wells an Ornstein-Uhlenbeck process, whose variance is known; its mean is right anyway."""
+    model = sf.SDE.from_expressions(["x", "s"], [f"-{rate}*x", "0.45*(s - s**3)"], [["0.1"], ["0.15"]])
+    flt = sf.SPHFilter(model, sf.GaussianMeasurement([[0.0, 1.0]], [[1.0]]), x0=[0.0, 1.5], P0=np.eye(2))
+    info = flt.predict(3.0)
+    assert info.scheme == "cloud"
+    assert flt.P[0, 0] == pytest.approx(0.01 / (2.0 * rate), rel=4.0 * max(info.variance_error, 0.025))
+
+
 def test_half_steps_go_along_the_same_noise():
     """Without drift the ends of both are the same to rounding."""
     free = sf.SDE.from_expressions(["x", "s"], ["0*x", "x"], [["1"], ["0"]], [[0.5]])

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from scipy.stats import norm
 
 import sphfilter as sf
 from sphfilter.core.cloud.guide import look_ahead
 from sphfilter.core.cloud.pace import Steps
-from sphfilter.core.cloud.weights import carriers
+from sphfilter.core.cloud.weights import carriers, of_variances
 from sphfilter.density.passage import moved_points, points_of_gaussian
 from sphfilter.density.points import NO_LINES, Carried, moments
 from sphfilter.filter.guided import weighed
@@ -253,6 +254,33 @@ def test_copies_carry_no_more_than_what_they_are_copies_of():
     assert mean == pytest.approx(20.0, rel=0.1)
     mean, evidence = carriers(x, log_w, np.zeros(400, np.int64), NO_LINES)[-2:]
     assert (mean, evidence) == (pytest.approx(1.0), pytest.approx(1.0))
+
+
+def test_of_heavy_tails_few_points_know_the_variance():
+    """A Gaussian's N points know it as N; of variance σ² / N ∫ (x² - σ²)² p dx those of other densities."""
+    rng, w = np.random.default_rng(1), np.full(20_000, 5e-5)
+    for x, number in (
+        (rng.standard_normal((20_000, 2)), 20_000.0),
+        (rng.laplace(size=(20_000, 2)), 2.0 / 5.0 * 20_000.0),  # of kurtosis six
+    ):
+        mean, cov = moments(x, w)
+        assert of_variances(x, w, mean, cov) == pytest.approx(number, rel=0.15)
+
+
+@pytest.mark.parametrize("key", range(3))
+def test_variances_that_tails_carry_are_kept_under_a_sharp_peak(key):
+    """Against quadrature: a reading of the velocity whose noise has Cauchy's law, of a Gaussian."""
+    scale, (mean, cov) = 5e-3, (np.zeros(2), np.diag([1.0, 0.4]))
+    sensor = sf.LikelihoodMeasurement(lambda z, X, t: -np.log1p(((X[:, 1] - z[0]) / scale) ** 2))
+    F, _, Q = linear_transition(SWING, 1.0)
+    std = np.sqrt((F @ cov @ F.T + Q)[1, 1])
+    p = lambda v: norm.pdf(v, scale=std) / (1.0 + (v / scale) ** 2)  # noqa: E731
+    width = {"points": [0.0], "limit": 500}
+    whole = quad(p, -9.0 * std, 9.0 * std, **width)[0]
+    variance = quad(lambda v: v * v * p(v), -9.0 * std, 9.0 * std, **width)[0] / whole
+    found = run(SWING, sensor, (mean, cov), [[0.0]], 1.0, key)
+    assert found.moments[1][1, 1] == pytest.approx(variance, rel=4.0 * np.sqrt(2.0 / found.of_variance))
+    assert found.of_variance > 100.0
 
 
 def test_what_came_from_few_points_a_reading_before_is_as_wrong_as_they_are():
