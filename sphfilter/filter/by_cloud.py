@@ -8,7 +8,7 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme, FilterConfig
-from ..core.cloud.control import errors_told, evidence_error, least_error, wrong_beside
+from ..core.cloud.control import errors_told, evidence_error, wrong_beside
 from ..core.cloud.pace import Steps
 from ..core.limits import LITTLE
 from ..density.as_cloud import cloud_of
@@ -113,8 +113,8 @@ def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading |
     else:  # none of the few sees the reading: a part of the many goes on beside them
         shadow = _part_of(found.points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
-    leasts = [least_error(number, state.size) for number in (found.effective, found.of_variance)]
-    errors = errors_told(told.mean, told.variance, *leasts, state.pace.bias)
+    numbers = found.effective, found.of_variance, state.size
+    errors = errors_told(told.mean, told.variance, *numbers, state.pace.bias)
     pace = state.pace._replace(legs=0, bias=0.0)
     state = state._replace(points=found.points, shadow=shadow, told=told, pace=pace)
     unsure = evidence_error(told.log_evidence, found.lineages, state.size, len(found.moments[0]))

@@ -14,8 +14,10 @@ from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code, may_be_off
+from ..prediction.again import MOST
 from ..prediction.family import fits_density
 from ..prediction.ladder import becomes_cloud, best_family, first_degree, prefers_cloud
+from ..prediction.to_target import ORDER
 from .by_cloud import by_cloud
 from .by_families import by_families
 from .by_family import family_update
@@ -24,8 +26,7 @@ from .by_pieces import by_pieces
 from .inherited import left_by_update, shift_left_by_update
 from .reading_at_prior import ReadingAtPrior
 
-_TRIES, _MOST_NODES = 3, 20_000
-_ORDER = 1.5  # the error of a lattice falls about as N^-1.5
+_TRIES = 3
 
 Posterior = tuple[ParticleDensity, dict[str, Any]]
 
@@ -130,9 +131,9 @@ def _on_lattice(
             rough = laid.rough * shift_left_by_update(density.cov(), new.cov()) ** ROUGH
             new = new.noted(rough=rough)
         over = said["error"] / target
-        if left == 1 or not over > 1.0 or said["error"] > 0.8 * before or nodes >= _MOST_NODES:
+        if left == 1 or not over > 1.0 or said["error"] > 0.8 * before or nodes >= MOST:
             break  # met, or the prior itself is coarse
-        before, nodes = said["error"], min(math.ceil(nodes * min(over ** (1.0 / _ORDER), 3.0)), _MOST_NODES)
+        before, nodes = said["error"], min(math.ceil(nodes * min(over ** (1.0 / ORDER), 3.0)), MOST)
     return (new.noted(capacity=nodes), said), needs._replace(nodes=nodes)
 
 

@@ -33,12 +33,13 @@ from .to_target import Time, carried_to_target
 
 Found = TypeVar("Found")
 
-#: Points of a cloud that take as long as a lattice that makes the same error, by states; a lattice of more
-#: states never pays. And points that take as long as one family, by states: fewer take .1 to .9 times as
-#: long as families first. In four states 256 take .6 to 1.1 times as long, and are off by two to eight times
-#: as much: families first. No lattice is cheaper than so few points. (Of `experiments benchmark`.)
-_AS_LATTICES, _AS_FAMILIES = {1: 2**13, 2: 2**13}, {1: 2**10, 2: 2**10, 3: 2**10, 4: 0}
-_AS_LARGEST = 2**13  # as families of five and six states, of thousands of nodes (experiments benchmark)
+#: Points of a cloud that take as long as one family, by states: fewer take .1 to .9 times as long as families
+#: first. In four states 256 take .6 to 1.1 times as long, and are off by two to eight times as much: families
+#: first. (Of `experiments benchmark`.)
+_AS_FAMILIES = {1: 2**10, 2: 2**10, 3: 2**10, 4: 0}
+#: As long as families of five and six states, of thousands of nodes, and as lattices of one and two that make
+#: the same error (experiments benchmark); a lattice of more never pays.
+_AS_LARGEST = 2**13
 LATTICE = 2  # states up to which families are not carried in parts
 _LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 #: Evaluations of the drift that a lattice may take for each point of a usual cloud: 15 to 45 ns each, beside
@@ -58,7 +59,7 @@ def first_degree(dim: int, needs: Memory) -> int:
 
 def prefers_cloud(dim: int, needs: Memory, target: float) -> bool:
     """Whether a cloud comes after one family, and not a lattice."""
-    return dim > LATTICE if needs.smooth else needs.cloud(target) <= _AS_LATTICES.get(dim, MOST_POINTS)
+    return dim > LATTICE or (not needs.smooth and needs.cloud(target) <= _AS_LARGEST)
 
 
 def becomes_cloud(dim: int, needs: Memory, target: float) -> bool:

@@ -32,7 +32,7 @@ class Time(NamedTuple):
 ALWAYS = Time()
 
 
-_ORDER = 1.5  # the error falls about as N^-1.5
+ORDER = 1.5  # the error falls about as N^-1.5
 
 
 def carried_to_target(
@@ -80,7 +80,7 @@ def carried_to_target(
         ratio = math.sqrt(max(info.error**2 - density.error**2, 0.0)) / allowed
         if not ratio > 1.0 or n_particles >= MOST:
             break
-        more = min(math.ceil(n_particles * min(max(ratio ** (1.0 / _ORDER), 1.2), 3.0)), MOST)
+        more = min(math.ceil(n_particles * min(max(ratio ** (1.0 / ORDER), 1.2), 3.0)), MOST)
         work += info.n_evaluations
         if work + info.n_evaluations * more / n_particles > most_work:
             raise StoppedError(f"a lattice of {more} particles would take more work than there may be")

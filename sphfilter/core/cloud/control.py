@@ -92,13 +92,15 @@ def least_error(number, size):
 
 
 @register_jitable
-def errors_told(mean, variance, least, wider, bias):
+def errors_told(mean, variance, number, of_variance, size, bias):
     """Errors of mean and variances: what a shadow shows (squares), at least that of few points, and steps.
 
-    `least` is that of the mean; and `wider`, if it is more, one of which a variance has √2.
+    As many of a cloud's points as a number count for the mean, and as another for the variances.
     """
     root = math.sqrt(2.0)  # of what a mean is off by, a variance is, where nothing more is known
-    of_variance = both(max(error_by(variance), root * max(least, wider)), root * bias)
+    least = least_error(number, size)
+    wider = max(least, least_error(of_variance, size))
+    of_variance = both(max(error_by(variance), root * wider), root * bias)
     return both(max(error_by(mean), least), bias), of_variance
 
 

@@ -23,7 +23,6 @@ from .control import (
     errors_told,
     evidence_error,
     expected_square,
-    least_error,
     next_points,
     points_for,
     smoothed,
@@ -141,8 +140,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         _keep(one.found[4], one.found[5], x, C, j)
         evidence[j] = one.found[3]
         unsure[j] = evidence_error(squares[2], one.found[8], count, n)
-        leasts = least_error(one.found[7], count), least_error(one.found[6], count)
-        error[j], wider[j] = errors_told(squares[0], squares[1], *leasts, bias)
+        error[j], wider[j] = errors_told(*squares[:2], one.found[7], one.found[6], count, bias)
         away, spread = foreseen(about[3], one.y, one.w, one.mean, one.cov)
         _keep(away, spread, off, S, j)
         if not _unremarkable(error[j], squares, away, spread, bounds):
