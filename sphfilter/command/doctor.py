@@ -56,7 +56,7 @@ def _version(name: str) -> str:
 
 def _tried(say: Say) -> tuple[str, bool]:
     """What a small filter took, and whether it is right."""
-    say("trying a filter; the first time compiles, up to a minute")
+    say("trying a filter; the first time compiles, a minute or so")
     begin = perf_counter()
     with event.install_recorder("numba:compile") as seen:
         well = SDE.from_expressions(["x"], ["x - x**3"], [["1"]], [[0.5]])

@@ -17,7 +17,7 @@ from numba.core import event
 _LOGGER = logging.getLogger("sphfilter")
 PATIENCE = 1.0  # seconds that pass without a word: longer ones break a train of thought (Nielsen 1993, ch. 5)
 _COMPILING = (
-    "compiling: up to a minute the first time that a scheme is used, once for all models, and seconds for "
+    "compiling: a minute or so the first time that a scheme is used, once for all models, and seconds for "
     "each model in text; kept in %s (elsewhere: set NUMBA_CACHE_DIR)"
 )
 _TEMPORARY = (

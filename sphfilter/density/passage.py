@@ -75,7 +75,8 @@ def moved_points(
 ) -> Points:
     """Points carried over an interval in steps; those of a new path are `count`."""
     path = points.path
-    if path is None or len(path.passages) >= _most(count, model.dim) or len(points.w) != count:
+    most = min(MOST, max(4, _NUMBERS // (count * model.dim)))
+    if path is None or len(path.passages) >= most or len(points.w) != count:
         points = points_of_sample(points, count, key)
         path = points.path
         assert path is not None
@@ -109,10 +110,6 @@ def sub_key(key: Any, number: int) -> Any:
 def stored_key(key: Any, number: int) -> int:
     """A sub-key as a number that signed integers hold."""
     return int(stored(key, number))
-
-
-def _most(count: int, dim: int) -> int:
-    return min(MOST, max(4, _NUMBERS // (count * dim)))
 
 
 class Through(NamedTuple):

@@ -178,7 +178,9 @@ class GaussianPieces(Shape):
         """States spread evenly in each piece, as many in all, and in each by its share."""
         n_each = np.maximum((_STATES * self.pieces.w).astype(int), 64)
         own = np.repeat(np.arange(len(n_each)), n_each)
-        return self.at(own, _even(own, self.pieces.mean.shape[1])), (self.pieces.w / n_each)[own]
+        number = np.arange(len(own)) - np.searchsorted(own, own)  # even among those of every piece
+        even = spread_evenly(len(own), self.pieces.mean.shape[1], 0.5, number)
+        return self.at(own, even), (self.pieces.w / n_each)[own]
 
     def at(self, own: Ints, uniform: Floats) -> Floats:
         """States (M, n) of pieces of given numbers (M,), at points (M, n) of the unit cube."""
@@ -203,9 +205,3 @@ class GaussianPieces(Shape):
     def ends(self) -> tuple[Floats, Floats, Floats]:
         mean, width = self.pieces.mean[:, 0], np.abs(self.pieces.root[:, 0, 0])
         return mean - 9.0 * width, mean + 9.0 * width, width
-
-
-def _even(own: Ints, n: int) -> Floats:
-    """Points (M, n) of the unit cube, spread evenly among those of every piece."""
-    number = np.arange(len(own)) - np.searchsorted(own, own)
-    return spread_evenly(len(own), n, 0.5, number)

@@ -97,7 +97,7 @@ def times_likelihood(
         walls = domain.walls
         weight = continued(lambda X: log_weight(domain.wrap(X)), walls)
         if density.field is None and walls[0].size:  # kernels have images beyond walls
-            log_p = partial(_folded, log_p, domain)
+            log_p = partial(folded, log_p, domain)
 
     def product(X: Floats) -> Floats:
         return log_p(X) + np.maximum(weight(X), -1e250)
@@ -121,7 +121,8 @@ def times_likelihood(
     return new, found.laid.log_mass - math.log1p(-found.left_out), found
 
 
-def _folded(log_p: OfStates, domain: Domain, X: Floats) -> Floats:
+def folded(log_p: OfStates, domain: Domain, X: Floats) -> Floats:
+    """Logarithm (M,) of a density at states X (M, n) that walls and periods are taken out of."""
     return log_p(domain.fold(X))
 
 

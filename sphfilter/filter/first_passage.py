@@ -48,7 +48,8 @@ def passed(
     Models are those of the intervals that end at the times.
     """
     bridged = _numbers(event, density.x[:1], density.domain) is not None
-    clouds = [_begun(density, count) for count in (_POINTS // SHADOW, _POINTS)]
+    keys = [(count, stored_key(age_of(density), count)) for count in (_POINTS // SHADOW, _POINTS)]
+    clouds = [points_of_sample(Points(*points_of(density, n, key)), n, key) for n, key in keys]
     found: list[Floats] = []
     apart, before, looks = [], np.full(len(times), np.nan), 1
     while True:
@@ -76,12 +77,6 @@ def _limit(found: Sequence[Floats]) -> Floats:
     before, after = found[-2] - found[-3], found[-1] - found[-2]
     rate = np.clip(np.sum(before * after) / max(np.sum(after * after), TINY), math.sqrt(2.0), 4.0)
     return np.asarray(found[-1] + after / (rate - 1.0))
-
-
-def _begun(density: ParticleDensity, count: int) -> Points:
-    """So many points of a density, at the begin of a path."""
-    key = stored_key(age_of(density), count)
-    return points_of_sample(Points(*points_of(density, count, key)), count, key)
 
 
 def _absorbed(

@@ -111,7 +111,8 @@ class _Run:
             return False
         while (k := len(self.reached.rows) - first) < len(Z):
             before = self.reached
-            if not unusual and not self._raised and _simple(before.state):
+            left = before.state.points.path is None and before.state.inherited == 0.0  # as a reading does
+            if left and not unusual and not self._raised:
                 try:
                     unusual, over = self._at_once(times[k:], Z[k:])
                 except SystemError:  # a Ctrl-C
@@ -128,7 +129,8 @@ class _Run:
 
     def _stacked(self, z: Floats, t: float) -> Stacked:
         """The sensor that has read numbers z (k,) at a time."""
-        asked = _asked(self._sensor, z, float(t))
+        every = np.ones(len(z), dtype=bool)
+        asked = ReadingAtPrior(self._sensor, z, every, float(t), None, None, None)
         self._known = self._known or Stacked.of((asked,), None)
         return self._known.again(asked)
 
@@ -248,16 +250,6 @@ def _plain(filt: Any, t: float, times: Floats, readings: Sequence[Any]) -> tuple
         Z.append(numbers)
         ends.append(t1)
     return np.array(Z, dtype=float), np.array(ends)
-
-
-def _asked(sensor: GaussianMeasurement, z: Floats, t: float) -> ReadingAtPrior:
-    """A reading of numbers z (k,), all of which came."""
-    return ReadingAtPrior(sensor, z, np.ones(len(z), dtype=bool), t, None, None, None)
-
-
-def _simple(state: CloudState) -> bool:
-    """Whether a cloud is such as a reading leaves it, with no error but its own."""
-    return state.points.path is None and state.inherited == 0.0
 
 
 def _all_of(sensor: GaussianMeasurement, z: Any) -> Floats | None:

@@ -43,7 +43,7 @@ class Stacked(NamedTuple):
             return cls(readings, domain)
         sensors = [a.measurement for a in guides]
         z = _joined([np.atleast_1d(np.asarray(a.numbers))[a.seen] for a in guides])
-        angle = _joined([_are_angles(a) for a in guides])
+        angle = _joined([np.isin(np.flatnonzero(a.seen), list(a.measurement.angles)) for a in guides])
         H = R = root = None
         if all(s.H is not None for s in sensors):
             H = _joined([s.H[a.seen] for s, a in zip(sensors, guides, strict=True)])[None]
@@ -165,12 +165,6 @@ def _members(asked: Any) -> tuple[Any, ...]:
         for name, own in rows.items()
         if asked.seen[own].any()
     )
-
-
-def _are_angles(asked: Any) -> Bools:
-    """Which of the components that came are angles."""
-    angles, came = asked.measurement.angles, np.flatnonzero(asked.seen)
-    return np.isin(came, list(angles)) if angles else np.zeros(len(came), dtype=bool)
 
 
 def _joined(parts: list[Any], axis: int = 0) -> Any:

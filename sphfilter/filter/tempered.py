@@ -17,7 +17,7 @@ from ..core.cloud.move import affine
 from ..core.cloud.weights import effective, normalise, systematic
 from ..core.limits import LOOK, TINY
 from ..density.passage import normals, sub_key
-from ..density.points import Carried, Passage, Points
+from ..density.points import Carried, Points
 from ..model.compile import surfacing
 
 #: Passes of N points in all, twenty times both of the guided ones; of these, such that draw from the prior,
@@ -137,12 +137,11 @@ def _together(parts: list[_Ways]) -> _Ways:
 
 def _fresh(passages: Any, count: int, n: int, key: Any) -> tuple[Any, Any]:
     """Normals (count, n) and noise beside them of every passage."""
-    noise = [_beside(p, count, sub_key(key, 100 + k)) for k, p in enumerate(passages)]
+    noise = [
+        None if p.leg is None else noise_of(sub_key(key, 100 + k), count, p.rows.shape[2], p.leg.kind)
+        for k, p in enumerate(passages)
+    ]
     return normals(count, n, key, len(passages)), tuple(noise)
-
-
-def _beside(p: Passage, count: int, key: Any) -> Floats | None:
-    return None if p.leg is None else np.asarray(noise_of(key, count, p.rows.shape[2], p.leg.kind))
 
 
 def _ends(passages: Any, x: Floats, block: Ints, u: Any, noise: Any) -> Floats:

@@ -122,7 +122,8 @@ def _candidates(
 ) -> list[Candidate]:
     """The central discretisation and its neighbours, one node more or less along each axis (002 4.7.3)."""
     (low, high), n = extents, sought.x.shape[1]
-    wanted = _covariance(sought.x, sought.raw), _core_ratio(sought.mass, scheme)
+    core = heaviest(sought.mass, scheme.represented_mass).sum()  # particles that hold P_T, and all mass:
+    wanted = _covariance(sought.x, sought.raw), core / heaviest(sought.mass, scheme.domain_mass).sum()
     least = _least_nodes(n_particles, n)
     dims = _dims(high - low, n_particles, volume_fraction, scheme.anisotropy, least)
     steps = [np.zeros(n, int), *np.eye(n, dtype=int), *-np.eye(n, dtype=int)]
@@ -162,11 +163,6 @@ def _spans(candidate: Candidate) -> bool:
     axes = range(len(candidate.product.lattice.dims))
     kept = candidate.kept.reshape(candidate.product.lattice.dims)
     return all(kept.any(axis=tuple(a for a in axes if a != axis)).sum() >= 3 for axis in axes)
-
-
-def _core_ratio(mass: Floats, scheme: PaperScheme) -> float:
-    """Particles that hold P_T over particles that hold the whole simulated mass."""
-    return heaviest(mass, scheme.represented_mass).sum() / heaviest(mass, scheme.domain_mass).sum()
 
 
 def _covariance(x: Floats, mass: Floats) -> Floats:

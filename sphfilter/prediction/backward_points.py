@@ -111,18 +111,14 @@ def steps_of(steps: Steps, parts: int) -> Steps:
     return steps._replace(number=max(-(-steps.number // parts), _FEWEST_STEPS))
 
 
-def _left(moves: Transitions, u: Floats, key: int) -> Floats:
-    """What linearisation leaves (N, n) of how the model moves points."""
-    return moves.moved(u, key) - moves.end - np.einsum("iab,ib->ia", moves.lower, u)
-
-
 def _put_right(moves: Transitions, key: int) -> tuple[Floats, Floats, Ints]:
     """Ends (N, n) and L (N, n, n) with what linearisation leaves, on average over blocks; blocks (N,)."""
     end, lower, block = moves.end, moves.lower, blocks_of(len(moves.x))
     if moves.rows is None:
         return end, lower, block
     u = even(len(end), end.shape[1], stored_key(key, 0), 0)
-    left = _left(moves, u, stored_key(key, 1))
+    # what linearisation leaves of how the model moves points, (N, n)
+    left = moves.moved(u, stored_key(key, 1)) - moves.end - np.einsum("iab,ib->ia", moves.lower, u)
     bent = _of_blocks(np.einsum("ia,ib->iab", left, u), block)
     return end + _of_blocks(left, block)[block], lower + bent[block], block
 

@@ -67,11 +67,6 @@ def becomes_cloud(dim: int, needs: Memory, target: float) -> bool:
     return not needs.smooth and needs.cloud(target) < _AS_FAMILIES.get(dim, _AS_LARGEST)
 
 
-def _in_parts(density: ParticleDensity) -> bool:
-    """Whether a few families may stand for a density where one does not."""
-    return density.dim > LATTICE and density.domain is None and density.family is not None
-
-
 def best_family(
     density: ParticleDensity,
     target: float,
@@ -195,8 +190,8 @@ def _by_family(
         return (moved, info), math.sqrt(max(info.error**2 - density.error**2, 0.0))
 
     best = best_family(density, target, needs, first_degree(density.dim, needs), carried)
-    bent = (best is None or best[2] > 1.0) and _in_parts(density)
-    if bent and families.bent(density, model, t1):
+    in_parts = density.dim > LATTICE and density.domain is None and density.family is not None
+    if in_parts and (best is None or best[2] > 1.0) and families.bent(density, model, t1):
         levels = families.LEVELS if best is None else 1
         found = _by_families(density, model, t1, target, needs, levels)
         if found is not None and (best is None or found[1].error < best[0][1].error):

@@ -36,12 +36,11 @@ from ..density.particle_density import ParticleDensity
 from ..density.passage import age_of, stored_key
 from ..density.pieces import Pieces, light, root_of
 from ..density.points import moments_of_sum
-from ..density.resample import logarithm
+from ..density.resample import folded, logarithm
 from ..errors import PropagationError
 from ..lattice.check import misfit, remote
 from ..lattice.field import inside_lattice
 from ..lattice.level_set import lattice_reach, lay
-from ..model.domain import Domain
 from . import family
 from .again import MOST
 from .ladder import first_degree, prefers_cloud
@@ -243,12 +242,8 @@ def _log_sum(parts: Sequence[Part]) -> OfStates:
 def _logarithm(density: ParticleDensity) -> OfStates:
     log_p = logarithm(density)
     if density.field is None and density.domain is not None and density.walls[0].size:
-        return partial(_folded, log_p, density.domain)  # kernels have images beyond walls
+        return partial(folded, log_p, density.domain)  # kernels have images beyond walls
     return log_p
-
-
-def _folded(log_p: OfStates, domain: Domain, X: Floats) -> Floats:
-    return log_p(domain.fold(X))
 
 
 def _on_lattice(parts: Sequence[Part], about: ParticleDensity, allowed: float) -> ParticleDensity:

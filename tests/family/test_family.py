@@ -277,17 +277,13 @@ def test_what_a_step_missed_is_told():
 def test_two_modes_that_the_nodes_miss_are_told(degree):
     """Both rules see the peaks of z = y² alike: their moments are off by ten times what these are apart."""
     y, told = np.linspace(-5.0, 5.0, 4001), []
-    for m, R, z in itertools.product((-0.466, -0.2), (0.05, 0.1), np.linspace(0.1, 0.6, 7)):
+    for m, R, z in itertools.product((-0.466, -0.2), (0.1, 0.15), np.linspace(0.1, 0.5, 7)):
         prior = gaussian_family(np.array([-1.17, m]), np.diag([0.046, 0.54]), degree)
-        try:
-            found = family_posterior(prior, lambda X, R=R, z=z: -0.5 * (z - X[:, 1] ** 2) ** 2 / R)
-        except sf.PropagationError:  # no frame settles
-            continue
+        found = family_posterior(prior, lambda X, R=R, z=z: -0.5 * (z - X[:, 1] ** 2) ** 2 / R)
         p = np.exp(-0.5 * (y - m) ** 2 / 0.54 - 0.5 * (z - y * y) ** 2 / R)
         true = p @ y / p.sum()
         (mu, A), rule = (found.family.mu, found.family.A), found.family.basis
         w, _ = node_weights(rule, A, found.family.log_p(mu + rule.xi @ A.T))
         off = abs(mu[1] + A[1] @ (w @ rule.xi) - true) / np.sqrt(p @ (y - true) ** 2 / p.sum())
         told.append(found.apart / off)
-    assert len(told) > 10
     assert np.median(told) > 0.4

@@ -48,7 +48,7 @@ BOUNDS = {
     "lines of sphfilter": 41_100,
     "lines of reference_filters": 5_050,
     "lines of experiments": 12_300,
-    "lines of tests": 29_220,  # and 1,420 that hold them to grids, closed forms, filterpy, and a wheel
+    "lines of tests": 29_235,  # and 1,435 that hold them to grids, closed forms, filterpy, and a wheel
     "  median length": 6,
     "  longer than 40 lines": 16,
     "  with more than 8 arguments": 29,  # two constructors more
