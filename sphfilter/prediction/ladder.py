@@ -37,15 +37,15 @@ Found = TypeVar("Found")
 #: first. In four states 256 take .6 to 1.1 times as long, and are off by two to eight times as much: families
 #: first. (Of `experiments benchmark`.)
 _AS_FAMILIES = {1: 2**10, 2: 2**10, 3: 2**10, 4: 0}
-#: As long as families of five and six states, of thousands of nodes, and as lattices of one and two that make
-#: the same error (experiments benchmark); a lattice of more never pays.
-_AS_LARGEST = 2**13
+#: As long as families of five and six states, of thousands of nodes, and as lattices of two that make the
+#: same error (experiments benchmark); one of more never pays. Of one state it does sooner, and knows its tails.
+_AS_LARGEST, _AS_LINES = 2**13, 2**11
 LATTICE = 2  # states up to which families are not carried in parts
 _LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 #: Evaluations of the drift that a lattice may take for each point of a usual cloud: 15 to 45 ns each, beside
-#: .6 µs of a point, or two to seven times as long. With ten times as many four scenes of eleven took 1.7 to 4
-#: times as long at .0033, for errors of a seventh to two thirds; no other did (`experiments benchmark`).
-_WORK = 100.0
+#: .6 µs of a point, or 5 to 15 times as long, for what it knows of tails. With five times as many three of
+#: eleven scenes took 1.5 to 2.5 times as long; with half a tail was lost, unsaid (`experiments benchmark`).
+_WORK = 200.0
 _NODES = 30.0  # that families ask a model at, over a cloud's points that cost as much
 _FINER = 3  # times the nodes of a first lattice that loses probability
 
@@ -59,7 +59,8 @@ def first_degree(dim: int, needs: Memory) -> int:
 
 def prefers_cloud(dim: int, needs: Memory, target: float) -> bool:
     """Whether a cloud comes after one family, and not a lattice."""
-    return dim > LATTICE or (not needs.smooth and needs.cloud(target) <= _AS_LARGEST)
+    most = _AS_LINES if dim == 1 else _AS_LARGEST
+    return dim > LATTICE or (not needs.smooth and needs.cloud(target) <= most)
 
 
 def becomes_cloud(dim: int, needs: Memory, target: float) -> bool:

@@ -109,15 +109,17 @@ def test_two_wells_as_on_a_fine_lattice():
 @pytest.mark.parametrize("drift, power", [("-sinh(x)", None), ("-x**5", 5)])
 @pytest.mark.parametrize("variance", [1.0, 100.0])
 def test_stiff_drifts_from_a_wide_start_come_in(drift, power, variance):
-    density, info = sf.predict(normal(variance), line(drift), 4.0, CLOUD)
-
     def p(x):
         return np.exp(-2.0 * (np.cosh(x) - 1.0 if power is None else x**6 / 6.0))
 
     exact = integrate.quad(lambda x: x**2 * p(x), -6, 6)[0] / integrate.quad(p, -6, 6)[0]
-    assert info.mass_error == 0.0
-    assert abs(density.mean()[0]) < 4.0 * info.error * np.sqrt(exact)
-    np.testing.assert_allclose(density.cov()[0, 0], exact, rtol=0.05)
+    off, told = [], []
+    for t in (4.0, 4.5, 5.0):  # one shadow may tell little by chance
+        density, info = sf.predict(normal(variance), line(drift), t, CLOUD)
+        assert info.mass_error == 0.0
+        np.testing.assert_allclose(density.cov()[0, 0], exact, rtol=0.05)
+        off, told = [*off, density.mean()[0] / np.sqrt(exact)], [*told, info.error]
+    assert np.linalg.norm(off) < 2.0 * np.linalg.norm(told)
 
 
 @pytest.mark.parametrize("allowed", [1e-3, 1e-4])

@@ -211,17 +211,8 @@ def carriers(x, log_w, ancestor, older):
         together, part = _squares(added, cov)
         if part > 0.0 and 1.0 - together > ROUNDING:  # else one has left all, and tells nothing
             number = min(number, max((1.0 - together) / part, 1.0))
-    return (
-        x,
-        w,
-        _lines(ancestor, older),
-        log_evidence,
-        mean,
-        cov,
-        of_variances(x, w, mean, cov),
-        number,
-        lineages,
-    )
+    numbers = of_variances(x, w, mean, cov), number, lineages
+    return x, w, _lines(ancestor, older), log_evidence, mean, cov, *numbers
 
 
 @jit
