@@ -37,9 +37,9 @@ Found = TypeVar("Found")
 #: first. In four states 256 take .6 to 1.1 times as long, and are off by two to eight times as much: families
 #: first. (Of `experiments benchmark`.)
 _AS_FAMILIES = {1: 2**10, 2: 2**10, 3: 2**10, 4: 0}
-#: As long as families of five and six states, of thousands of nodes, and as lattices of two that make the
-#: same error (experiments benchmark); one of more never pays. Of one state it does sooner, and knows its tails.
-_AS_LARGEST, _AS_LINES = 2**13, 2**11
+#: As long as a lattice that makes the same error, by states: of one it pays sooner, and knows its tails; of
+#: three and more never. And as families of five and six, of thousands of nodes. (Of the same command.)
+_AS_LATTICES = {1: 2**11, 2: 2**13}
 LATTICE = 2  # states up to which families are not carried in parts
 _LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 #: Evaluations of the drift that a lattice may take for each point of a usual cloud: 15 to 45 ns each, beside
@@ -59,13 +59,12 @@ def first_degree(dim: int, needs: Memory) -> int:
 
 def prefers_cloud(dim: int, needs: Memory, target: float) -> bool:
     """Whether a cloud comes after one family, and not a lattice."""
-    most = _AS_LINES if dim == 1 else _AS_LARGEST
-    return dim > LATTICE or (not needs.smooth and needs.cloud(target) <= most)
+    return dim > LATTICE or (not needs.smooth and needs.cloud(target) <= _AS_LATTICES[dim])
 
 
 def becomes_cloud(dim: int, needs: Memory, target: float) -> bool:
     """Whether a cloud costs less than one family, and is all that is asked for."""
-    return not needs.smooth and needs.cloud(target) < _AS_FAMILIES.get(dim, _AS_LARGEST)
+    return not needs.smooth and needs.cloud(target) < _AS_FAMILIES.get(dim, _AS_LATTICES[2])
 
 
 def best_family(
