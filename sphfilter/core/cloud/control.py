@@ -99,9 +99,8 @@ def errors_told(mean, variance, number, of_variance, size, bias):
     """
     root = math.sqrt(2.0)  # of what a mean is off by, a variance is, where nothing more is known
     least = least_error(number, size)
-    wider = max(least, least_error(of_variance, size))
-    of_variance = both(max(error_by(variance), root * wider), root * bias)
-    return both(max(error_by(mean), least), bias), of_variance
+    wider = max(error_by(variance), root * max(least, least_error(of_variance, size)))
+    return both(max(error_by(mean), least), bias), both(wider, root * bias)
 
 
 @register_jitable
