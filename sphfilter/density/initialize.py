@@ -299,7 +299,7 @@ def _on_level_set(
 
     factor = np.linalg.cholesky(coarse.cov("points"))
     if not getattr(scheme, "reach", None):
-        depth = deep_enough(log_p(coarse.x), coarse.mass, len(box), depth)
+        depth = deep_enough(log_p(coarse.x), coarse.x, coarse.mass, depth)
     seeds = coarse.x[coarse.mass > coarse.mass.max() * np.exp(-depth)]
     laid = _laid(log_p, coarse.mean(), factor, seeds, n_particles, depth)
     off, beyond = misfit(laid, log_p), ~inside_lattice(laid.field, coarse.x)

@@ -22,6 +22,9 @@ from .reading_at_prior import ReadingAtPrior, info_fields
 
 _LOOKED_AT, _FEW = 512, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
 _BEGUN_AT = 32  # of these, for states that explain a reading
+#: Standard deviations that these stand for: 2 / 512 of a Gaussian lie beyond 3, where points may miss a state
+#: d off. A variance that is s² of the prior's, it widens by exp(-d² / 2) (d / s)²: .1 at 3.5 if s is 1/2.
+_APART = 2.5
 _ELSEWHERE = 4  # of the key of an age: these points
 _MORE, _NEGLIGIBLE = 2.0, 9.0  # in logarithms: of a posterior over its family, and below its peak
 _HIGHEST, _LOST = 700.0, 1e3  # logarithm of a weight, and an error, that are as bad as any
@@ -129,7 +132,7 @@ def errors_beyond_nodes(
     weight = asked.weight_on(density.domain)
     (log_prior, (mean, cov)), (log_posterior, (own_mean, own_cov)) = prior, posterior
     root = np.linalg.inv(np.linalg.cholesky(own_cov))
-    states = asked.explained(X[:: _LOOKED_AT // _BEGUN_AT], np.linalg.cholesky(cov))
+    states = asked.explained(X[:: _LOOKED_AT // _BEGUN_AT], _APART * np.linalg.cholesky(cov))
     share = math.exp(0.5 * (np.linalg.slogdet(own_cov)[1] - np.linalg.slogdet(cov)[1]))
     if states is None and not is_gaussian(asked.measurement) and share * _LOOKED_AT < _FEW:
         raise PropagationError("one family may not be all that is left of so sharp a likelihood")

@@ -13,7 +13,7 @@ from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code, may_be_off
-from ..lattice.check import Remote, beside, remote
+from ..lattice.check import Remote, beside, cells_beside, remote
 from ..lattice.field import extrapolated_mass, inside_lattice
 from ..lattice.resolved import TOLERATED, Resolved
 from ..lattice.walls import moved_in
@@ -87,14 +87,18 @@ def by_lattice(
 def _remote(
     prior: ParticleDensity, posterior: ParticleDensity, asked: ReadingAtPrior, log_evidence: float
 ) -> Remote:
-    """Moments that the prior's nodes beyond a posterior's lattice would add to it."""
+    """Moments that the prior's nodes beyond a posterior's lattice would add to it, and cells around those."""
     if posterior.field is None:
         return Remote()
-    beyond = ~inside_lattice(posterior.field, moved_in(posterior.walls, posterior.field.A, prior.x))
+    X, mass = prior.x, prior.mass
+    if prior.field is not None:
+        around = cells_beside(prior.field, prior.walls)
+        X, mass = np.concatenate([X, around[0]]), np.concatenate([mass, around[1]])
+    beyond = ~inside_lattice(posterior.field, moved_in(posterior.walls, posterior.field.A, X))
     if not beyond.any():
         return Remote()
-    X = prior.x[beyond]
-    mass = prior.mass[beyond] * np.exp(np.clip(asked.log_weight(X) - log_evidence, -700.0, 700.0))
+    X = X[beyond]
+    mass = mass[beyond] * np.exp(np.clip(asked.log_weight(X) - log_evidence, -700.0, 700.0))
     return remote(posterior.mean(), posterior.cov(), X, mass)
 
 

@@ -14,6 +14,9 @@ from . import field as lattice_field
 from .level_set import LatticeDensity
 from .walls import inside, node_weights
 
+#: Probability ε at L standard deviations widens a variance by ε L²: it counts as ε L² / 20, so that what may
+#: be left out by default, .001, leaves variances within .02.
+_FAR = 20.0
 _DEEPEST = 2.0  # times a Gaussian's depth; measured: half takes 1.1 times the evaluations, twice no more
 
 
@@ -68,10 +71,15 @@ def beside(field: Field | None, mean: Floats, cov: Floats, walls: Walls = NO_WAL
     """Probability in the cells that were asked beyond the cut; none where there is no lattice."""
     if field is None:
         return Beside()
-    X = field.mu + field.node[field.kept :] @ field.A.T
-    mass = np.exp(field.log_p[field.kept :]) * abs(np.linalg.det(field.A)) * inside(walls, X)
+    X, mass = cells_beside(field, walls)
     added = np.linalg.solve(np.linalg.cholesky(cov), mass @ (X - mean))
     return Beside(left_out(field, walls), float(np.linalg.norm(added)))
+
+
+def cells_beside(field: Field, walls: Walls = NO_WALLS) -> tuple[Floats, Floats]:
+    """States (K, n) and probabilities (K,) of the cells that were asked beyond the cut of a density."""
+    X = field.mu + field.node[field.kept :] @ field.A.T
+    return X, np.exp(field.log_p[field.kept :]) * abs(np.linalg.det(field.A)) * inside(walls, X)
 
 
 class Remote(NamedTuple):
@@ -91,6 +99,12 @@ def remote(mean: Floats, cov: Floats, x: Floats, mass: Floats) -> Remote:
     return Remote(float(np.linalg.norm(d @ mass)), float(np.linalg.eigvalsh((d * mass) @ d.T)[-1]))
 
 
+def felt(mean: Floats, cov: Floats, x: Floats) -> Floats:
+    """Times (M,) that probability at states (M, n) counts, by how far they lie from a density's mean (n,)."""
+    d = np.linalg.solve(np.linalg.cholesky(cov), (x - mean).T)
+    return np.maximum(np.einsum("am,am->m", d, d) / _FAR, 1.0)
+
+
 def left_out(field: Field, walls: Walls = NO_WALLS) -> float:
     """Probability in the cells that were asked beyond those that were kept."""
     p = np.exp(field.log_p[: field.kept])
@@ -101,16 +115,22 @@ def left_out(field: Field, walls: Walls = NO_WALLS) -> float:
     return max(0.0, 1.0 - float(p.sum() * abs(np.linalg.det(field.A))))
 
 
-def deep_enough(log_p: Floats, mass: Floats, n: int, depth: float, beyond: float = 0.0) -> float:
+def deep_enough(
+    log_p: Floats, x: Floats, mass: Floats, depth: float, beyond: tuple[Floats, Floats] | None = None
+) -> float:
     """Depth at which to cut a density so that no more is left out than `depth` leaves out of a Gaussian.
 
-    Pieces of it may be far lower than its highest, though not negligible, and its tails heavier. Its cells
-    have `log_p` and `mass` (N,); both depths are nats below the highest value, and `beyond` is the
-    probability beyond these cells, in tails that end at about that depth.
+    Pieces of it may be far lower than its highest, though not negligible, and its tails heavier. Its cells x
+    (N, n) have `log_p` and `mass` (N,); both depths are nats below the highest value, and `beyond` are states
+    (K, n) and probabilities (K,) of cells beyond these, in tails that end at about that depth.
     """
-    allowed = gammaincc(0.5 * n, depth)
+    allowed, own = gammaincc(0.5 * x.shape[1], depth), mass / mass.sum()
+    mean = own @ x
+    cov = (own[:, None] * (x - mean)).T @ (x - mean)
+    counted = own * felt(mean, cov, x)
+    missed = 0.0 if beyond is None else float(felt(mean, cov, beyond[0]) @ beyond[1])
     lowest_first = np.argsort(log_p)
-    kept = np.cumsum(mass[lowest_first]) > allowed * mass.sum()
-    own = float(log_p.max() - log_p[lowest_first[np.argmax(kept)]])
-    tails = depth + np.log(max(1.0, beyond / allowed))
-    return min(max(depth, own, tails), _DEEPEST * depth)
+    kept = np.cumsum(counted[lowest_first]) > allowed
+    lowest = float(log_p.max() - log_p[lowest_first[np.argmax(kept)]])
+    tails = depth + np.log(max(1.0, missed / allowed))
+    return min(max(depth, lowest, tails), _DEEPEST * depth)

@@ -13,11 +13,11 @@ from ..core.field.walls import NO_WALLS, Walls
 from ..core.limits import LARGEST_EXPONENT, SAID, TINY
 from ..errors import PropagationError
 from . import field as lattice_field
-from .check import Misfit, left_out, misfit
+from .check import Misfit, felt, left_out, misfit
 from .level_set import LatticeDensity, lay
 from .peaks import Peak, along_axes, peaks
 from .posterior import within_pieces
-from .walls import between, inside
+from .walls import between, inside, moved_in
 
 TOLERATED = 0.05  # residual of a lattice that is not laid again; measured: half takes up to 1.6 times as long
 _HIGHER = 1.0  # nats above polynomials that overlook something; measured: half, twice move means by .003
@@ -46,6 +46,7 @@ class Resolved(NamedTuple):
     off: Misfit
     left_out: float = 0.0
     times: int = 1  # the particles it may have
+    felt: float = 0.0  # as what the probability left out counts, by how far away it is
 
     @property
     def wrong(self) -> float:
@@ -91,12 +92,13 @@ def resolved(
     found = _overlooked(laid, prior, product, log_weight, search)
     parts, tried = [], []
     if isinstance(laid, LatticeDensity):
+        moments = laid.mean, laid.cov
         least = laid.log_mass + math.log(search.most_left_out)
-        found = [peak for peak in found if peak.log_mass > least]
+        found = [peak for peak in found if peak.log_mass + math.log(felt(*moments, peak.x[None])[0]) > least]
         parts.append(_part_of(laid))
         tried.append(Resolved(laid, misfit(laid, product)))
         survey = _survey(x, mass, log_weight)
-        if _missing(laid, survey) > _BESIDE * (tail + search.most_left_out):
+        if _missing(laid, survey)[1] > _BESIDE * (tail + search.most_left_out):
             parts.append(survey)
     best = _best(tried, parts, tail)
     if best is not None and not found and _good(best, search, tail):
@@ -114,7 +116,7 @@ def resolved(
 
 def _good(tried: Resolved, search: Search, tail: float) -> bool:
     resolved = max(tried.off.residual, tried.off.log_mass) < TOLERATED
-    return resolved and tried.left_out < search.most_left_out + tail
+    return resolved and tried.felt < search.most_left_out + tail
 
 
 def _part_of(laid: LatticeDensity) -> _Part:
@@ -130,29 +132,30 @@ def _survey(x: Floats, mass: Floats, log_weight: OfStates) -> _Part:
 
 def _best(tried: list[Resolved], parts: list[_Part], tail: float) -> Resolved | None:
     """The lattice with which least is wrong, going by all parts that are known by now."""
-    judged = [each._replace(left_out=_left_out(each.laid, parts, tail)) for each in tried]
+    judged = [each._replace(**_left_out(each.laid, parts, tail)) for each in tried]
     return min(judged, key=lambda each: each.wrong, default=None)
 
 
-def _left_out(laid: LatticeDensity, parts: list[_Part], tail: float) -> float:
-    """Probability that a lattice leaves out: of the part of which it misses most, or beside its nodes."""
+def _left_out(laid: LatticeDensity, parts: list[_Part], tail: float) -> dict[str, float]:
+    """Probability that a lattice leaves out, and as what it counts: most of a part, or beside its nodes."""
     left = left_out(laid.field, laid.walls)
     left = left if left > SAID + _BESIDE * tail else 0.0
     logs = [min(part.log_mass - laid.log_mass, LARGEST_EXPONENT) for part in parts]
-    odds = [_missing(laid, part) * math.exp(log) for part, log in zip(parts, logs, strict=True)]
-    # each apart from the others
-    tops = sum(o for o, part in zip(odds, parts, strict=True) if len(part.x) == 1)
-    most = max(tops, *odds)
-    return max(left, most / (1.0 + most))
+    odds = np.exp(logs)[:, None] * [_missing(laid, part) for part in parts]
+    alone = [len(part.x) == 1 for part in parts]  # each apart from the others
+    most, counted = np.maximum(odds[alone].sum(axis=0), odds.max(axis=0))
+    most = max(left, float(most / (1.0 + most)))
+    return {"left_out": most, "felt": max(most, float(counted / (1.0 + counted)))}
 
 
-def _missing(laid: LatticeDensity, part: _Part) -> float:
-    """Share of a part in cells where a lattice has no node, or of which its polynomials know nothing."""
-    if part.log_p is None:
-        return lattice_field.extrapolated_mass(laid.field, part.x, part.w, laid.walls)
-    below = part.log_p - laid.log_mass - lattice_field.log_p_at(laid.field, part.x)
-    beside = lattice_field.extrapolated_mass(laid.field, part.x, part.w, laid.walls)
-    return max(float(part.w @ (below > _HIGHER)), beside)
+def _missing(laid: LatticeDensity, part: _Part) -> tuple[float, float]:
+    """Share of a part that lies in cells without a node, or of which nothing is known; as what it counts."""
+    beside = ~lattice_field.inside_lattice(laid.field, moved_in(laid.walls, laid.field.A, part.x))
+    if part.log_p is not None:
+        below = part.log_p - laid.log_mass - lattice_field.log_p_at(laid.field, part.x) > _HIGHER
+        beside = below if part.w @ below > part.w @ beside else beside
+    w, x = part.w[beside], part.x[beside]
+    return float(w.sum()), float(w @ felt(laid.mean, laid.cov, x))
 
 
 def _overlooked(
@@ -182,7 +185,7 @@ def _overlooked(
     factor: Any = np.linalg.cholesky(cov)
     if isinstance(laid, LatticeDensity):
         widest = values + np.log(np.sqrt(2.0 * math.pi) * np.diag(factor)).sum()  # no peak has more mass
-        high = widest > laid.log_mass + math.log(search.most_left_out)
+        high = widest + np.log(felt(laid.mean, laid.cov, X)) > laid.log_mass + math.log(search.most_left_out)
         X, values = X[high], values[high]
         above = values - laid.log_mass - lattice_field.log_p_at(laid.field, X) > _HIGHER
         X, values = X[above], values[above]
@@ -217,7 +220,7 @@ def _tries(
                 continue
             result = Resolved(new, misfit(new, product))
             yield result
-            if result.off.residual < TOLERATED and not _missing(new, top):
+            if result.off.residual < TOLERATED and not any(_missing(new, top)):
                 parts.append(_part_of(new))
                 break
         if shape is not None and np.linalg.det(peak.factor) < np.linalg.det(shape):

@@ -43,7 +43,8 @@ from ..density.memory import min_nodes
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
 from ..info import DOUBTFUL, Code, PredictInfo, may_be_off
-from ..lattice.check import beside, deep_enough, left_out
+from ..lattice.check import beside, cells_beside, deep_enough
+from ..lattice.field import nodes as nodes_of
 from ..lattice.level_set import (
     LatticeDensity,
     enough_particles,
@@ -192,8 +193,8 @@ def _depth(density: ParticleDensity, scheme: LogDensityScheme) -> float:
     depth, field = 0.5 * lattice_reach(scheme, density.dim) ** 2, density.field
     if scheme.reach or field is None:
         return depth
-    log_p = field.log_p[: field.kept]
-    return deep_enough(log_p, np.exp(log_p), density.dim, depth, left_out(field, density.walls))
+    log_p, x = field.log_p[: field.kept], nodes_of(field)[: field.kept]
+    return deep_enough(log_p, x, np.exp(log_p), depth, cells_beside(field, density.walls))
 
 
 def noise_between(model: SDE, t0: float, t1: float, around: Floats) -> tuple[Noise, int]:
