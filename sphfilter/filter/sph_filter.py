@@ -303,7 +303,7 @@ class SPHFilter(DensityFilter[ParticleDensity, Dynamics, Sensor | None]):
         repeated = outcome.before is not state.density
         what = "" if outcome.info.reason == NOTHING_CAME else "update"
         own = H is None and (given is None or given is self.measurement)
-        origin = Update.after(state.origin, outcome.before, used, values, own)
+        origin = Update.after(state.origin, outcome.before, used, values, outcome.info, own)
         state = state.updated(outcome[:3], origin, sensor, numbers)
         # of a cloud both passes come out
         count = min(outcome.before.n_particles, outcome.density.n_particles)

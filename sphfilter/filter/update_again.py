@@ -26,6 +26,7 @@ from ..prediction.again import Ladder, Outcome
 from ..prediction.predict import Prediction, predict
 from .by_cloud import error_added
 from .stacked import Stacked
+from .together import used_together
 from .update import update
 
 _LADDER = Ladder(deeper=0.7)
@@ -45,14 +46,16 @@ class Update(NamedTuple):
 
     @classmethod
     def after(
-        cls, origin: Any, before: ParticleDensity, sensor: Sensor, z: Any, own: bool = True
+        cls, origin: Any, before: ParticleDensity, sensor: Sensor, z: Any, info: UpdateInfo, own: bool = True
     ) -> "Update":
         """An update of a density of this origin: a `Prediction`, an `Update` or none."""
-        prediction = prediction_of(origin)
-        if prediction.before is None:  # what was read before is in the prior, and nothing leads to that
-            return cls(before, sensor, z, own)
-        readings = (*prediction.readings, (sensor, z))
-        return cls(before, sensor, z, own, prediction._replace(readings=readings))
+        if info.reason == NOTHING_CAME:
+            return cls(before, sensor, z, own, prediction_of(origin))
+        known = prediction_of(origin)
+        readings, log_evidence = (*known.readings, (sensor, z)), known.log_evidence + info.log_evidence
+        prior = before if known.prior is None else known.prior
+        known = known._replace(readings=readings, prior=prior, log_evidence=log_evidence)
+        return cls(before, sensor, z, own, known)
 
     def repeated(self, config: Any, n_particles: int) -> ParticleDensity:
         """The posterior on another number of particles."""
@@ -86,6 +89,7 @@ def update_or_predict_again(
     before, lost = prediction.before, prediction.lost
     posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
     bound = max_particles_of(prior, n_particles)
+    posterior, info = used_together(prediction, (posterior, info), measurement, z, config, n_particles)
     if posterior.read_out == "cloud" and (before is not None or prior.read_out != "cloud"):
         once = prior, posterior, info
         return Outcome(*_on_more_points(prediction, once, measurement, z, config), bound)
@@ -145,7 +149,9 @@ def _again(
 ) -> Read:
     """Predict from a start, to another target if one is given, and update by the readings of that time."""
     finer = config if target is None else replace(config, target_error=target)
-    prior = start if prediction.before is None else prediction.from_density(start, finer, "auto")
+    if prediction.before is None:  # what was read before is in the prior, and nothing leads to that
+        return start, *update(start, measurement, z, config, n_particles="auto")
+    prior = prediction.from_density(start, finer, "auto")
     for sensor, numbers in prediction.readings:
         prior, _ = update(prior, sensor, numbers, config, n_particles="auto")
     return prior, *update(prior, measurement, z, config, n_particles="auto")

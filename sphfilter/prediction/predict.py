@@ -229,6 +229,8 @@ class Prediction(NamedTuple):
     model: Dynamics | None = None
     t: float = 0.0  # seconds, where it ended
     readings: tuple[Any, ...] = ()  # used since: pairs of sensor and numbers
+    prior: ParticleDensity | None = None  # of the first of them
+    log_evidence: float = 0.0  # of them all
     #: Models of predictions before it, and where each ended, seconds: what carries points goes back to the
     #: last reading.
     earlier: tuple[tuple[Dynamics, float], ...] = ()
