@@ -382,7 +382,8 @@ class FilterConfig(_Settings):
         the density is as good as the points give.
     most_left_out : float
         Probability that an update may leave out where it finds some beyond the cut of the posterior, such as
-        in a remote mode; more is flagged, `Code.UNRESOLVED`.
+        in a remote mode; more is flagged, `Code.UNRESOLVED`. Beyond √20 = 4.5 standard deviations it counts
+        by the square of the distance, as a variance does: ε at L of these as ε L² / 20.
     time_budget : float, optional
         Wall-clock seconds that a predict of a filter and the updates after it may take together. With it
         results depend on the machine and its load.

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from .._types import Floats, OfStates
-from ..core.limits import ALIKE
+from ..core.limits import ALIKE, LARGEST_EXPONENT, LOOK
 from ..density.as_family import defect_in, family_density, family_of, moments_on_line
 from ..density.cloud import points_of
 from ..density.defect import OF_UNSIGNED, after_reading, read_out
@@ -21,13 +21,13 @@ from .inherited import evidence_error_by, evidence_error_of, shift_left_by_updat
 from .reading_at_prior import ReadingAtPrior, info_fields
 
 _LOOKED_AT, _FEW = 512, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
-_BEGUN_AT = 32  # of these, for states that explain a reading
-#: Standard deviations that these stand for: 2 / 512 of a Gaussian lie beyond 3, where points may miss a state
-#: d off. A variance that is s² of the prior's, it widens by exp(-d² / 2) (d / s)²: .1 at 3.5 if s is 1/2.
+#: Standard deviations that those stand for from which states that explain a reading are looked for: beyond 3
+#: points may miss a state d off, which widens a variance, s² of the prior's, by exp(-d² / 2) (d / s)², .1 at
+#: 3.5 if s is 1/2.
 _APART = 2.5
 _ELSEWHERE = 4  # of the key of an age: these points
 _MORE, _NEGLIGIBLE = 2.0, 9.0  # in logarithms: of a posterior over its family, and below its peak
-_HIGHEST, _LOST = 700.0, 1e3  # logarithm of a weight, and an error, that are as bad as any
+_LOST = 1e3  # an error that is as bad as any
 
 #: Logarithm of a density, and its mean and covariance.
 Shape = tuple[OfStates, tuple[Floats, Floats]]
@@ -132,7 +132,7 @@ def errors_beyond_nodes(
     weight = asked.weight_on(density.domain)
     (log_prior, (mean, cov)), (log_posterior, (own_mean, own_cov)) = prior, posterior
     root = np.linalg.inv(np.linalg.cholesky(own_cov))
-    states = asked.explained(X[:: _LOOKED_AT // _BEGUN_AT], _APART * np.linalg.cholesky(cov))
+    states = asked.explained(X[:: _LOOKED_AT // LOOK], _APART * np.linalg.cholesky(cov))
     share = math.exp(0.5 * (np.linalg.slogdet(own_cov)[1] - np.linalg.slogdet(cov)[1]))
     if states is None and not is_gaussian(asked.measurement) and share * _LOOKED_AT < _FEW:
         raise PropagationError("one family may not be all that is left of so sharp a likelihood")
@@ -147,7 +147,7 @@ def errors_beyond_nodes(
                 "one family does not hold the posterior: other states explain the reading too"
             )
     likely, own = weight(X) - log_evidence, log_posterior(X) - log_prior(X)
-    off = mass * (np.exp(np.minimum(likely, _HIGHEST)) - np.exp(np.minimum(own, _HIGHEST)))
+    off = mass * (np.exp(np.minimum(likely, LARGEST_EXPONENT)) - np.exp(np.minimum(own, LARGEST_EXPONENT)))
     y = (X - own_mean) @ root.T
     with np.errstate(over="ignore", invalid="ignore"):  # of a family that is nowhere near
         apart = moments_apart(off @ y, (y * off[:, None]).T @ y - off.sum() * np.eye(len(mean)))

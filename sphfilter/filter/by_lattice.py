@@ -13,7 +13,7 @@ from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code, may_be_off
-from ..lattice.check import Remote, beside, cells_beside, remote
+from ..lattice.check import Remote, beside, nodes_and_beside, remote
 from ..lattice.field import extrapolated_mass, inside_lattice
 from ..lattice.resolved import TOLERATED, Resolved
 from ..lattice.walls import moved_in
@@ -90,10 +90,7 @@ def _remote(
     """Moments that the prior's nodes beyond a posterior's lattice would add to it, and cells around those."""
     if posterior.field is None:
         return Remote()
-    X, mass = prior.x, prior.mass
-    if prior.field is not None:
-        around = cells_beside(prior.field, prior.walls)
-        X, mass = np.concatenate([X, around[0]]), np.concatenate([mass, around[1]])
+    X, mass = nodes_and_beside(prior.x, prior.mass, prior.field, prior.walls)
     beyond = ~inside_lattice(posterior.field, moved_in(posterior.walls, posterior.field.A, X))
     if not beyond.any():
         return Remote()

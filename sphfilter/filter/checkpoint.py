@@ -122,7 +122,7 @@ def _origin(arrays: Arrays, model: Dynamics, measurement: Sensor | None) -> Pred
             return None
         return Update(before, *parted(driven(measurement, model.inputs), arrays["z"]))
     earlier = tuple((model, t) for t in arrays.get("earlier", np.empty(0)).tolist())
-    return Prediction(before, float(arrays["lost"]), model, float(arrays["t"]), (), earlier)
+    return Prediction(before, float(arrays["lost"]), model, float(arrays["t"]), earlier=earlier)
 
 
 def _of_modes(state: FilterState[Any], filt: Any) -> Arrays:

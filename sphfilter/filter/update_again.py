@@ -7,26 +7,30 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from ..config import FilterConfig, LogDensityScheme
-from ..core.cloud.control import points_for
-from ..core.limits import EDGE, SAID
+from ..core.cloud.control import WRONG, points_for
+from ..core.limits import EDGE, LARGEST_EXPONENT, LOOK, SAID
 from ..core.step_control import HELPED, TRIES
-from ..density.cloud import moments_of
+from ..density.cloud import moments_of, points_of
 from ..density.memory import MISSED
 from ..density.particle_density import ParticleDensity
+from ..density.passage import age_of, stored_key
 from ..density.resample import max_particles_of, target_of
-from ..errors import PropagationError
+from ..errors import ModelError, PropagationError
 from ..info import NOTHING_CAME, Code, UpdateInfo
+from ..lattice.check import Remote, remote
 from ..lattice.level_set import lattice_reach
+from ..lattice.resolved import HIGHER
 from ..model.dynamics import Dynamics
-from ..model.measurements import Sensor
+from ..model.measurements import Reading, Sensor
+from ..model.sensors import Sensors
 from ..prediction.again import Ladder, Outcome
 from ..prediction.predict import Prediction, predict
 from .by_cloud import error_added
 from .stacked import Stacked
-from .together import used_together
 from .update import update
 
 _LADDER = Ladder(deeper=0.7)
@@ -89,10 +93,10 @@ def update_or_predict_again(
     before, lost = prediction.before, prediction.lost
     posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
     bound = max_particles_of(prior, n_particles)
-    posterior, info = used_together(prediction, (posterior, info), measurement, z, config, n_particles)
-    if posterior.read_out == "cloud" and (before is not None or prior.read_out != "cloud"):
+    if posterior.read_out == "cloud":
         once = prior, posterior, info
         return Outcome(*_on_more_points(prediction, once, measurement, z, config), bound)
+    posterior, info = _used_together(prediction, (posterior, info), (measurement, z), config, n_particles)
     if before is not None and prior.family is not None and not prior.gaussian:
         once = prior, posterior, info
         return Outcome(*_without_family(prediction, once, measurement, z, config), bound)
@@ -120,6 +124,46 @@ def update_or_predict_again(
         posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
         info = info.marked(Code.REPEATED, f"prediction repeated on {rung.times} times the particles")
     return Outcome(prior, posterior, info, bound)
+
+
+def _used_together(
+    prediction: Prediction,
+    once: tuple[ParticleDensity, UpdateInfo],
+    reading: tuple[Any, Any],
+    config: FilterConfig,
+    n_particles: Any,
+) -> tuple[ParticleDensity, UpdateInfo]:
+    """The posterior of all readings of one time at once, and what is said of the last; or as they were used.
+
+    A lattice ends where little is left of a density by one reading. Of that the next may make much more.
+    """
+    (posterior, info), prior, before = once, prediction.prior, prediction.log_evidence
+    if prior is None or posterior.gaussian or prior.domain is not None or not info.accepted:
+        return once
+    readings = (*prediction.readings, reading)
+    far = _overlooked(prior, posterior, readings, before + info.log_evidence)
+    if far.mean <= MISSED * config.target_error and far.variance <= 0.5 * WRONG:
+        return once
+    try:
+        sensors = Sensors({str(k): sensor for k, (sensor, _) in enumerate(readings)})
+        z = np.concatenate([Reading.of(numbers).z for _, numbers in readings])
+        posterior, said = update(prior, sensors, z, config, n_particles=n_particles)
+    except (ModelError, PropagationError):
+        return once
+    off = info.innovation, info.innovation_cov
+    said = replace(said, innovation=off[0], innovation_cov=off[1], reason=info.reason)
+    return posterior, replace(said, log_evidence=said.log_evidence - before)
+
+
+def _overlooked(
+    prior: ParticleDensity, posterior: ParticleDensity, readings: Any, log_evidence: float
+) -> Remote:
+    """Moments that a prior times likelihoods of readings has where its posterior knows nothing of them."""
+    x, mass = points_of(prior, 32 * LOOK, stored_key(age_of(prior), len(readings)))
+    log_l = sum(sensor.log_likelihood(z, x, prior.t) for sensor, z in readings) - log_evidence
+    unknown = prior.logpdf(x) + log_l - posterior.logpdf(x) > HIGHER
+    mass = mass[unknown] * np.exp(np.minimum(log_l[unknown], LARGEST_EXPONENT))
+    return remote(posterior.mean(), posterior.cov(), x[unknown], mass)
 
 
 def _without_family(
@@ -166,13 +210,14 @@ def _on_more_points(
     """
     (prior, posterior, info), best, before = once, once, prediction.before
     start, finer = prior if before is None else before, True
-    target, known = target_of(prior, config, None), start.needs
-    if target is None or known is None or config.time_budget or info.reason == NOTHING_CAME:
+    target, known, as_it_was = target_of(prior, config, None), start.needs, prior.read_out == "cloud"
+    nothing = info.reason == NOTHING_CAME or (before is None and as_it_was)
+    if target is None or known is None or config.time_budget or nothing:
         return once
     for tries in range(TRIES):
         cloud = posterior.cloud
         assert cloud is not None
-        led = before is None or prior.read_out == "cloud"
+        led = before is None or as_it_was
         error = _deciding(posterior, info, target, 0.0 if led else cloud.inherited)
         if error > MISSED * target:
             error = _added(prediction, prior, posterior, error, target)

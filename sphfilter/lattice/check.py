@@ -82,6 +82,14 @@ def cells_beside(field: Field, walls: Walls = NO_WALLS) -> tuple[Floats, Floats]
     return X, np.exp(field.log_p[field.kept :]) * abs(np.linalg.det(field.A)) * inside(walls, X)
 
 
+def nodes_and_beside(x: Floats, mass: Floats, field: Field | None, walls: Walls) -> tuple[Floats, Floats]:
+    """Nodes x (N, n) of a field with their probabilities, and `cells_beside`; without a field the points."""
+    if field is None:
+        return x, mass
+    around = cells_beside(field, walls)
+    return np.concatenate([x, around[0]]), np.concatenate([mass, around[1]])
+
+
 class Remote(NamedTuple):
     """Moments that states beyond a lattice would add to its density."""
 

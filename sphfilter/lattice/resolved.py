@@ -20,7 +20,7 @@ from .posterior import within_pieces
 from .walls import between, inside, moved_in
 
 TOLERATED = 0.05  # residual of a lattice that is not laid again; measured: half takes up to 1.6 times as long
-_HIGHER = 1.0  # nats above polynomials that overlook something; measured: half, twice move means by .003
+HIGHER = 1.0  # nats above polynomials that overlook something; measured: half, twice move means by .003
 _TIMES = (1, 3, 9)  # particles of the first try; measured: with (1, 2) means are off by up to .27
 _MOST = 20_000  # particles
 #: Times what a Gaussian leaves out, that may lie beside the nodes; measured: half and twice change no run.
@@ -132,11 +132,12 @@ def _survey(x: Floats, mass: Floats, log_weight: OfStates) -> _Part:
 
 def _best(tried: list[Resolved], parts: list[_Part], tail: float) -> Resolved | None:
     """The lattice with which least is wrong, going by all parts that are known by now."""
-    judged = [each._replace(**_left_out(each.laid, parts, tail)) for each in tried]
+    out = [_left_out(each.laid, parts, tail) for each in tried]
+    judged = [e._replace(left_out=left, felt=far) for e, (left, far) in zip(tried, out, strict=True)]
     return min(judged, key=lambda each: each.wrong, default=None)
 
 
-def _left_out(laid: LatticeDensity, parts: list[_Part], tail: float) -> dict[str, float]:
+def _left_out(laid: LatticeDensity, parts: list[_Part], tail: float) -> tuple[float, float]:
     """Probability that a lattice leaves out, and as what it counts: most of a part, or beside its nodes."""
     left = left_out(laid.field, laid.walls)
     left = left if left > SAID + _BESIDE * tail else 0.0
@@ -145,14 +146,14 @@ def _left_out(laid: LatticeDensity, parts: list[_Part], tail: float) -> dict[str
     alone = [len(part.x) == 1 for part in parts]  # each apart from the others
     most, counted = np.maximum(odds[alone].sum(axis=0), odds.max(axis=0))
     most = max(left, float(most / (1.0 + most)))
-    return {"left_out": most, "felt": max(most, float(counted / (1.0 + counted)))}
+    return most, max(most, float(counted / (1.0 + counted)))
 
 
 def _missing(laid: LatticeDensity, part: _Part) -> tuple[float, float]:
     """Share of a part that lies in cells without a node, or of which nothing is known; as what it counts."""
     beside = ~lattice_field.inside_lattice(laid.field, moved_in(laid.walls, laid.field.A, part.x))
     if part.log_p is not None:
-        below = part.log_p - laid.log_mass - lattice_field.log_p_at(laid.field, part.x) > _HIGHER
+        below = part.log_p - laid.log_mass - lattice_field.log_p_at(laid.field, part.x) > HIGHER
         beside = below if part.w @ below > part.w @ beside else beside
     w, x = part.w[beside], part.x[beside]
     return float(w.sum()), float(w @ felt(laid.mean, laid.cov, x))
@@ -187,7 +188,7 @@ def _overlooked(
         widest = values + np.log(np.sqrt(2.0 * math.pi) * np.diag(factor)).sum()  # no peak has more mass
         high = widest + np.log(felt(laid.mean, laid.cov, X)) > laid.log_mass + math.log(search.most_left_out)
         X, values = X[high], values[high]
-        above = values - laid.log_mass - lattice_field.log_p_at(laid.field, X) > _HIGHER
+        above = values - laid.log_mass - lattice_field.log_p_at(laid.field, X) > HIGHER
         X, values = X[above], values[above]
     elif values.max() < -1e200:
         return []

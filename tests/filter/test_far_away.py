@@ -72,7 +72,7 @@ def test_a_piece_far_away_stays_on_a_lattice(share, nodes):
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_of_two_readings_of_one_time_the_second_brings_out_what_the_first_left_out(turned):
-    """7e-4 are left out of a posterior in many pieces; of that the next reading makes half of its variance."""
+    """7e-4 are left out of a posterior in many pieces; of that the next reading makes half of a variance."""
     problem = replace(RandomCase(60713, 45).problem(), n_particles="auto")
     flt = default_filter(problem)
     flt.predict(t=problem.times[0])

@@ -298,7 +298,7 @@ class SPHUpdater(DensityUpdater):
 def _step(state: SPHState, found: Outcome[UpdateInfo], sensor: Sensor, z: Any) -> Step:
     """The `Step` of an update that made its `Outcome` of a state."""
     before, after, info, _ = found
-    origin = None if after is before else Origin.after(origin_of(state), before, sensor, z)
+    origin = None if after is before else Origin.after(origin_of(state), before, sensor, z, info)
     return Step(after, info, origin)
 
 
