@@ -138,8 +138,8 @@ def _used_together(
     A lattice ends where little is left of a density by one reading. Of that the next may make much more.
     """
     (posterior, info), prior, before = once, prediction.prior, prediction.log_evidence
-    used = info.accepted and info.reason != NOTHING_CAME
-    if prior is None or posterior.gaussian or prior.domain is not None or not used:
+    ends = info.accepted and info.mass_left_out > 0.0  # of other densities nothing is left out
+    if prior is None or posterior.gaussian or prior.domain is not None or not ends:
         return once
     readings = (*prediction.readings, reading)
     far = _overlooked(prior, posterior, readings, before + info.log_evidence)
