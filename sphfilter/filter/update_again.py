@@ -139,9 +139,10 @@ def _used_together(
     """
     (posterior, info), prior, before = once, prediction.prior, prediction.log_evidence
     ends = info.accepted and info.mass_left_out > 0.0  # of other densities nothing is left out
-    if prior is None or posterior.gaussian or prior.domain is not None or not ends:
-        return once
     readings = (*prediction.readings, reading)
+    few = len(readings) <= LOOK  # else each more costs more
+    if prior is None or posterior.gaussian or prior.domain is not None or not (ends and few):
+        return once
     far = _overlooked(prior, posterior, readings, before + info.log_evidence)
     if far.mean <= MISSED * config.target_error and far.variance <= 0.5 * WRONG:
         return once
