@@ -6,12 +6,14 @@ interruption change nothing in the runs and filters that stay.
 """
 
 import numbers
-from collections.abc import Callable, Generator, Mapping, Sequence
+import signal
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
+from threading import current_thread, main_thread
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -199,8 +201,11 @@ def run_campaign(
         finished = store.finished(folder, n_runs)
     todo = [(r, scenario, filters, seeds[r], ranks) for r in range(n_runs) if r not in finished]
     coming = _in_parallel(one_run.run, todo, n_jobs, progress, n_runs)
-    with closing(coming):  # at once, whatever is raised here: workers must not wait for a reader
+    # at once, whatever is raised here: workers must not wait for a reader
+    with _interrupts() as interrupted, closing(coming):
         for done, (r, record) in enumerate(coming, len(finished) + 1):
+            if interrupted:
+                raise KeyboardInterrupt
             first_case = _same_times(scenario.name, record, first_case, r)
             if folder is None:
                 records[r] = record
@@ -237,6 +242,26 @@ def _in_parallel(
             "a worker process died, for lack of memory perhaps: try fewer of them (n_jobs). Runs that were "
             "finished are kept if there is a folder, and the same call goes on from them."
         ) from problem
+
+
+@contextmanager
+def _interrupts() -> Iterator[list[int]]:
+    """Note every Ctrl-C beside raising it: Python drops what is raised where an object is being deleted."""
+    seen: list[int] = []
+    before = signal.getsignal(signal.SIGINT)
+
+    def noted(number: int, frame: Any) -> None:
+        seen.append(number)
+        signal.default_int_handler(number, frame)
+
+    if current_thread() is not main_thread() or before is not signal.default_int_handler:
+        yield seen
+        return
+    signal.signal(signal.SIGINT, noted)
+    try:
+        yield seen
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _end_workers(n_jobs: int | None) -> None:

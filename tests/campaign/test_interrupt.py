@@ -65,6 +65,22 @@ def test_an_interrupt_ends_all_and_keeps_what_is_finished(times, tmp_path):
     assert done.scenario == "still" and len(done.truth) == kept + 2 and not np.isnan(done.truth).any()
 
 
+def test_an_interrupt_that_python_drops_ends_a_campaign_all_the_same(tmp_path):
+    """Python drops what is raised while an object is deleted; the next result then ends the campaign."""
+    lost = SCRIPT.replace(
+        "told = lambda done, of: print(done, flush=True)",
+        """class Dropped:
+        def __del__(self):
+            os.kill(os.getpid(), signal.SIGINT)
+    told = lambda done, of: done == 3 and Dropped()""",
+    ).replace("import sys, time", "import os, signal, sys, time")
+    (tmp_path / "lost.py").write_text(lost, encoding="utf-8")
+    call = [sys.executable, str(tmp_path / "lost.py"), str(tmp_path / "folder"), "200"]
+    done = subprocess.run(call, stderr=subprocess.PIPE, text=True, timeout=60, start_new_session=True)
+    assert done.returncode != 0 and "Exception ignored" in done.stderr
+    assert 3 <= len(list((tmp_path / "folder").glob("run_*.npz"))) < 10
+
+
 def test_what_is_no_folder_of_a_campaign_is_said(tmp_path):
     with pytest.raises(sf.ConfigError, match="no folder of a campaign"):
         sf.CampaignResult.open(tmp_path)
