@@ -10,6 +10,7 @@ import numpy as np
 from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig, LogDensityScheme, PaperScheme, Scheme, SolverConfig
 from ..core.field.walls import NO_WALLS
+from ..core.limits import LARGEST_EXPONENT
 from ..errors import ModelError, PropagationError
 from ..info import ResampleInfo
 from ..lattice import field
@@ -253,7 +254,8 @@ def _product(
         log_scale = log_w[values > 0].max(initial=-np.inf)
         if not np.isfinite(log_scale):
             raise PropagationError(NO_OVERLAP)
-    return Product(lattice, values * np.exp(np.minimum(log_w - log_scale, 700.0)), float(log_scale))
+    weight = np.exp(np.minimum(log_w - log_scale, LARGEST_EXPONENT))
+    return Product(lattice, values * weight, float(log_scale))
 
 
 def _rescale_boundary(values: Floats, kept: Bools, core: Bools, cell_volume: float) -> Floats:

@@ -21,9 +21,8 @@ from .inherited import evidence_error_by, evidence_error_of, shift_left_by_updat
 from .reading_at_prior import ReadingAtPrior, info_fields
 
 _LOOKED_AT, _FEW = 512, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
-#: Standard deviations that those stand for from which states that explain a reading are looked for: beyond 3
-#: points may miss a state d off, which widens a variance, s² of the prior's, by exp(-d² / 2) (d / s)², .1 at
-#: 3.5 if s is 1/2.
+#: Standard deviations that each point from which states explaining a reading are looked for stands for: one
+#: d deviations off widens a variance, s² of the prior's, by exp(-d² / 2) (d / s)², by .1 at d = 3.5, s = .5.
 _APART = 2.5
 _ELSEWHERE = 4  # of the key of an age: these points
 _MORE, _NEGLIGIBLE = 2.0, 9.0  # in logarithms: of a posterior over its family, and below its peak

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..config import FilterConfig
-from ..core.limits import ALIKE
+from ..core.limits import ALIKE, LARGEST_EXPONENT
 from ..density.defect import ROUGH
 from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
@@ -95,7 +95,7 @@ def _remote(
     if not beyond.any():
         return Remote()
     X = X[beyond]
-    mass = mass[beyond] * np.exp(np.clip(asked.log_weight(X) - log_evidence, -700.0, 700.0))
+    mass = mass[beyond] * np.exp(np.minimum(asked.log_weight(X) - log_evidence, LARGEST_EXPONENT))
     return remote(posterior.mean(), posterior.cov(), X, mass)
 
 

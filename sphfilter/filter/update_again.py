@@ -53,12 +53,13 @@ class Update(NamedTuple):
         cls, origin: Any, before: ParticleDensity, sensor: Sensor, z: Any, info: UpdateInfo, own: bool = True
     ) -> "Update":
         """An update of a density of this origin: a `Prediction`, an `Update` or none."""
-        if info.reason == NOTHING_CAME:
-            return cls(before, sensor, z, own, prediction_of(origin))
         known = prediction_of(origin)
-        readings, log_evidence = (*known.readings, (sensor, z)), known.log_evidence + info.log_evidence
-        prior = before if known.prior is None else known.prior
-        known = known._replace(readings=readings, prior=prior, log_evidence=log_evidence)
+        if info.reason != NOTHING_CAME:
+            known = known._replace(
+                readings=(*known.readings, (sensor, z)),
+                prior=before if known.prior is None else known.prior,
+                log_evidence=known.log_evidence + info.log_evidence,
+            )
         return cls(before, sensor, z, own, known)
 
     def repeated(self, config: Any, n_particles: int) -> ParticleDensity:
@@ -152,8 +153,7 @@ def _used_together(
         posterior, said = update(prior, sensors, z, config, n_particles=n_particles)
     except (ModelError, PropagationError):
         return once
-    off = info.innovation, info.innovation_cov
-    said = replace(said, innovation=off[0], innovation_cov=off[1], reason=info.reason)
+    said = replace(said, innovation=info.innovation, innovation_cov=info.innovation_cov, reason=info.reason)
     return posterior, replace(said, log_evidence=said.log_evidence - before)
 
 

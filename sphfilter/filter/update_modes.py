@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 
 from .._types import Floats
 from ..config import FilterConfig
-from ..core.limits import SAID
+from ..core.limits import LARGEST_EXPONENT, SAID
 from ..density.modes import ModeDensities
 from ..density.points import moments_of_sum
 from ..errors import PropagationError
@@ -109,7 +109,7 @@ def _off(
     assert density is not None
     X = X if density.domain is None else density.domain.fold(X)
     weight = sensor.log_likelihood(z, X, density.t)
-    return modes.ripples[i].mass, float(off @ np.exp(np.minimum(weight - log_evidence, 700.0)))
+    return modes.ripples[i].mass, float(off @ np.exp(np.minimum(weight - log_evidence, LARGEST_EXPONENT)))
 
 
 def _innovation(infos: list[tuple[float, UpdateInfo]]) -> tuple[Floats | None, Floats | None]:
