@@ -138,3 +138,26 @@ def _rotate(h, V, a, b):
         h[a, k], h[b, k] = c * x - s * y, s * x + c * y
         x, y = V[k, a], V[k, b]
         V[k, a], V[k, b] = c * x - s * y, s * x + c * y
+
+
+@jit
+def product(A, B, factor, out):
+    """out = factor A B, all (n, n)."""
+    n = A.shape[0]
+    for a in range(n):
+        for b in range(n):
+            s = 0.0
+            for c in range(n):
+                s += A[a, c] * B[c, b]
+            out[a, b] = factor * s
+
+
+@jit
+def add_carried(M, P, scratch):
+    """P <- P + M P Mᵀ, all (n, n)."""
+    n = P.shape[0]
+    product(M, P, 1.0, scratch)
+    for a in range(n):
+        for b in range(n):
+            for c in range(n):
+                P[a, b] += scratch[a, c] * M[b, c]

@@ -15,7 +15,7 @@ from ..core.cloud.linearise import LINEARISE, centres, linearise, lower_and_rows
 from ..core.cloud.maps import LINEARISE_MAP, MAPPED, linearise_map
 from ..core.cloud.move import MOVE, affine, move
 from ..core.cloud.noise import ADDITIVE, LANES, NORMAL, OF_STATE, even_normals, mixed, stored
-from ..core.cloud.pace import Steps, chosen
+from ..core.cloud.pace import Bias, Steps, chosen
 from ..core.cloud.reading import Reader
 from ..core.cloud.steps import BESIDE, BETWEEN, FLOW, NO_LEG, STIFF_FLOW, Leg
 from ..core.cloud.way import AGAIN, FIRST, KERNEL, begin, blocks_of, carry, carry_linear, everywhere
@@ -246,15 +246,15 @@ def chosen_steps(
     bounds: tuple[int, int],
     allowed: float,
     key: int = 0,
-) -> tuple[Steps, float, float]:
-    """Steps within bounds, and their bias, which is allowed; more than the most where that is not enough.
+) -> tuple[Steps, Bias, float]:
+    """Steps within bounds, and their `Bias`, which is allowed; more than the most where that is not enough.
 
     The last number is the part of a few points that the model carries to infinity.
     """
     about = points.x, points.w, key, *places(model.dim), begin.number, begin.stiff, *bounds, allowed
     with surfacing():
         number, stiff, bias, lost = chosen(_leg(model, False), address_of(STIFF_FLOW), span, *about)
-    return Steps(number, stiff), bias, lost
+    return Steps(number, stiff), Bias(*bias), lost
 
 
 def _passage(model: Dynamics, x: Floats, span: tuple[float, float], steps: Steps, key: int) -> Passage:

@@ -108,7 +108,8 @@ class Pace(NamedTuple):
     step: float = 0.0  # seconds, of the first prediction after a reading
     stiff: bool = False
     legs: int = 0  # predictions since the last reading
-    bias: float = 0.0  # that their steps have had, in standard deviations
+    bias: float = 0.0  # that their steps have had, of a mean, in standard deviations
+    of_variance: float = 0.0  # and of a variance, in parts of it
 
 
 class Origin(NamedTuple):

@@ -115,8 +115,9 @@ def models_of(density: ParticleDensity) -> tuple[Dynamics, ...]:
 
 def _stored_cloud(state: CloudState) -> Arrays:
     """A cloud as arrays by name; of a path what begins it, and the spans and steps of its predictions."""
-    arrays = {"told": np.array(state.told), "pace": np.array([*map(float, state.pace)])}
+    arrays = {"told": np.array(state.told), "pace": np.array([*map(float, state.pace[:4])])}
     numbers = {"size": state.size, "inherited": state.inherited, "age": state.age}
+    numbers["of_variance"] = state.pace.of_variance
     arrays |= {name: np.array(value) for name, value in numbers.items()}
     if state.origin is not None:
         family, defect, unsigned, off, log_mass = state.origin
@@ -142,7 +143,7 @@ def _stored_cloud(state: CloudState) -> Arrays:
 def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[Dynamics]) -> ParticleDensity:
     """The cloud of arrays that `_stored_cloud` made."""
     step, *_, stiff, legs, bias = arrays["pace"].tolist()  # older files had one more
-    pace = Pace(step, bool(stiff), int(legs), bias)
+    pace = Pace(step, bool(stiff), int(legs), bias, float(arrays.get("of_variance", 0.0)))
     points, shadow = (_points_from(part(name, arrays), models) for name in ("points", "shadow"))
     size = arrays["size"].item() or len(points.w)  # older files have none where a reading began the cloud
     inherited, age = float(arrays.get("inherited", 0.0)), int(arrays.get("age", 0))  # older files have none

@@ -9,14 +9,14 @@ import numpy as np
 from .._types import Floats
 from ..config import CloudScheme, FilterConfig
 from ..core.cloud.control import errors_told, evidence_error, wrong_beside
-from ..core.cloud.pace import Steps
+from ..core.cloud.pace import Bias, Steps
 from ..core.limits import LITTLE
 from ..density.as_cloud import cloud_of
 from ..density.as_family import moments_on_line
 from ..density.memory import doubtful_from, flagged_from
 from ..density.particle_density import ParticleDensity
 from ..density.passage import READING, moved_points, stored_key
-from ..density.points import CloudState, Points, Told
+from ..density.points import CloudState, Pace, Points, Told
 from ..density.quasi_random import systematic
 from ..errors import PropagationError
 from ..info import Code
@@ -114,8 +114,8 @@ def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading |
         shadow = _part_of(found.points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
     numbers = found.effective, found.of_variance, state.size
-    errors = errors_told(told.mean, told.variance, *numbers, state.pace.bias)
-    pace = state.pace._replace(legs=0, bias=0.0)
+    errors = errors_told(told.mean, told.variance, *numbers, Bias(*state.pace[-2:]))
+    pace = Pace(state.pace.step, state.pace.stiff)
     state = state._replace(points=found.points, shadow=shadow, told=told, pace=pace)
     unsure = evidence_error(told.log_evidence, found.lineages, state.size, len(found.moments[0]))
     return CloudReading(state, found.moments, found.log_evidence, unsure, *errors)

@@ -7,8 +7,16 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme
-from ..core.cloud.control import SHADOW, apart_by, bias_allowed, step_after, steps_of_shadow
-from ..core.cloud.pace import FIRST_TRIED, MOST_LOST, ORDER, Steps
+from ..core.cloud.control import (
+    SHADOW,
+    STEPS_ORDER,
+    apart_by,
+    bias_allowed,
+    over_allowed,
+    step_after,
+    steps_of_shadow,
+)
+from ..core.cloud.pace import FIRST_TRIED, MOST_LOST, Steps
 from ..core.cloud.weights import AWAY, any_beyond, compared, near_others
 from ..core.limits import LOOK, SAID
 from ..density.as_cloud import cloud_of
@@ -74,15 +82,16 @@ def propagate(
     moved = carried_cloud(state, model, span, scheme, target, density.domain)
     capacity = density.capacity if n_particles is None else n_particles
     new = cloud_of(density, moved.state, moved.moments, t=float(t1), capacity=capacity, error=moved.error)
-    return new, info_of(model, scheme.n_points, moved.steps, moved.lost, moved.error)
+    return new, info_of(model, scheme.n_points, moved.steps, moved.lost, moved.error, moved.variance_error)
 
 
 class Carried(NamedTuple):
-    """A cloud after a prediction; mean and covariance of its points, its error, and what was given up."""
+    """A cloud after a prediction; mean and covariance of its points, its errors, and what was given up."""
 
     state: CloudState
     moments: tuple[Floats, Floats]
     error: float
+    variance_error: float
     lost: float  # probability
     steps: int
 
@@ -115,10 +124,11 @@ def carried_cloud(
     told = state.told.of(count / state.size)
     off = squared_differences(ends[0], ends[1], domain, sums)
     error = math.hypot(told.after(*off).errors.mean, pace.bias, state.inherited)
+    wider = math.hypot(math.sqrt(2.0) * error, pace.of_variance)
     state = state._replace(
         points=ends[0], shadow=ends[1], size=count, told=told, pace=pace, age=state.age + 1
     )
-    return Carried(state, sums[0], error, lost, steps.number)
+    return Carried(state, sums[0], error, wider, lost, steps.number)
 
 
 def as_points(density: ParticleDensity, count: int) -> CloudState:
@@ -182,8 +192,8 @@ def _steps(
     if own:
         return Steps(own), Steps(own), pace
     assert isinstance(model, SDE)
-    dt, (step, stiff, legs, _), points = span[1] - span[0], pace, state.points
-    shorter = legs ** (1.0 / ORDER)  # biases of predictions without a reading between add up
+    dt, (step, stiff, legs, *had), points = span[1] - span[0], pace, state.points
+    shorter = legs ** (1.0 / STEPS_ORDER)  # biases of predictions without a reading between add up
     least = least_steps(model, points.x, span)
     number = math.ceil(dt * shorter / step - 1e-9) if step > 0.0 else FIRST_TRIED
     if model.domain.walled.any():
@@ -197,10 +207,9 @@ def _steps(
     if lost > 2.0 * MOST_LOST:  # of a few: all need not be asked, each of which takes long
         raise PropagationError(_blow_up(model, points, *span))
     _enough(steps.number, most, span)
-    next_step = step_after(dt * shorter, steps.number, bias / allowed)
-    bias = pace.bias + (bias if math.isfinite(bias) else 0.0)
+    next_step = step_after(dt * shorter, steps.number, over_allowed(bias, allowed, model.dim))
     few = steps._replace(number=steps_of_shadow(steps.number, steps.stiff, least))
-    return steps, few, Pace(next_step, steps.stiff, legs, bias)
+    return steps, few, Pace(next_step, steps.stiff, legs, *np.add(had, bias).tolist())
 
 
 def least_steps(model: Dynamics, x: Floats, span: tuple[float, float]) -> int:
@@ -253,7 +262,9 @@ def _blow_up(model: Dynamics, points: Points, t0: float, t1: float) -> str:
     return carried_off(model, x, t0, t1) or blow_up(model, x[-1], t0, t0, t1)
 
 
-def info_of(model: Dynamics, count: int, steps: int, lost: float, error: float) -> PredictInfo:
+def info_of(
+    model: Dynamics, count: int, steps: int, lost: float, error: float, variance_error: float = math.nan
+) -> PredictInfo:
     """Info of a prediction of a cloud."""
     status = f"on a cloud of {count} points: the mean is good to {error:.2g} standard deviations"
     code = Code.CLOUD
@@ -265,6 +276,7 @@ def info_of(model: Dynamics, count: int, steps: int, lost: float, error: float) 
         n_evaluations=(4 if isinstance(model, SDE) else 1) * steps,
         mass_error=lost,
         error=error,
+        variance_error=variance_error,
         skipped=tuple(note for note in skip_notes(model, 0) if "evaluation of D" in note),
         scheme="cloud",
         status=status,

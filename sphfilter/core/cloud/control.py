@@ -9,9 +9,9 @@ from numba.extending import register_jitable
 
 from ..limits import LOOK
 from ..step_control import MORE
-from .pace import ORDER as STEPS_ORDER
 
 SHADOW = 8  # points of a cloud over those of its shadow, which costs an eighth of the time
+STEPS_ORDER = 3.0  # of the steps' bias, of additive noise: measured by tests/core/test_cloud_core.py
 _ORDER = 0.6  # of errors in the number of points: measured as .45 to .82, .61 on average (CLOUD.md)
 _NEW = 0.4  # weight of the last squared difference; measured: half, twice change evaluations by .09 at most
 #: Times fewer steps of a shadow: 1.65³ - 1 = 8^.6, what both are apart by is to what the cloud is off by as
@@ -93,14 +93,14 @@ def least_error(number, size):
 
 @register_jitable
 def errors_told(mean, variance, number, of_variance, size, bias):
-    """Errors of mean and variances: what a shadow shows (squares), at least that of few points, and steps.
+    """Errors of mean and variances: what a shadow shows (squares), at least that of few points, and a `Bias`.
 
     As many of a cloud's points as a number count for the mean, and as another for the variances.
     """
     root = math.sqrt(2.0)  # of what a mean is off by, a variance is, where nothing more is known
     least = least_error(number, size)
     wider = max(error_by(variance), root * max(least, least_error(of_variance, size)))
-    return both(max(error_by(mean), least), bias), both(wider, root * bias)
+    return both(max(error_by(mean), least), bias.mean), both(wider, bias.variance)
 
 
 @register_jitable
@@ -120,6 +120,12 @@ def bias_allowed(error, count, inherited, most, target, legs):
     """
     error = _USUAL / math.sqrt(count) if error != error else error
     return _PART * max(min(both(error, inherited), most), target) / legs
+
+
+@register_jitable
+def over_allowed(bias, allowed, n):
+    """How many times what is allowed of n states a `Bias` of steps is."""
+    return decisive(bias.mean, bias.variance, allowed / _PART, n) / allowed
 
 
 @register_jitable

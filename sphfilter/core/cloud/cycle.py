@@ -24,6 +24,7 @@ from .control import (
     evidence_error,
     expected_square,
     next_points,
+    over_allowed,
     points_for,
     smoothed,
     square_of_more,
@@ -32,7 +33,7 @@ from .control import (
     wrong_beside,
 )
 from .noise import NORMAL, stored
-from .pace import FIRST_TRIED, MOST_LOST, chosen, over
+from .pace import FIRST_TRIED, MOST_LOST, Bias, chosen, over
 from .reading import READER, Part, Reader, foreseen, weigh
 from .steps import CUBE, LEG
 from .way import begin, carry, carry_linear
@@ -125,7 +126,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
     while done < K and end == ALL:
         j, s, span = done, standing, (times[done], times[done + 1])
         own, step, bias = _paced(parts, leg, stiff_flow, span, s, least[j], bounds, curve)
-        if not bias < np.inf:
+        if not bias.mean < np.inf:
             end = UNUSUAL
             break
         about = parts, own, _change(changes, j, n), _reads(reader, Z[j], span[1])
@@ -133,7 +134,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         few = over(own, own.flow, *span, fewer)
         one, two = _both(about, few, s, nets, curve)
         ahead, squares = _told(s, one, two, count)
-        if not (one.usual and two.usual and both(ahead, bias) < max(bounds.doubtful, bounds.flagged)):
+        if not (one.usual and two.usual and both(ahead, bias.mean) < max(bounds.doubtful, bounds.flagged)):
             end = UNUSUAL
             break
         _keep(one.mean, one.cov, m, P, j)
@@ -192,14 +193,14 @@ def _reads(reader, z, t):
 
 @jit
 def _paced(parts, leg, stiff_flow, span, s, least, bounds, curve):
-    """The model over a span in steps of a bias that is allowed; the length of the next, and the bias.
+    """The model over a span in steps of a bias that is allowed; the length of the next, and the `Bias`.
 
     Infinite where no steps will do.
     """
     if leg.drift == NOWHERE_AT:
-        return leg, s.step, 0.0
+        return leg, s.step, Bias(0.0, 0.0)
     if leg.kind == NORMAL:  # a map has the steps that it has
-        return over(leg, leg.flow, span[0], span[1], least), s.step, 0.0
+        return over(leg, leg.flow, span[0], span[1], least), s.step, Bias(0.0, 0.0)
     dt, told = span[1] - span[0], error_by(s.mean)
     allowed = bias_allowed(told, s.w.size, 0.0, bounds.doubtful, bounds.target, 1)
     number = math.ceil(dt / s.step - 1e-9) if s.step > 0.0 else FIRST_TRIED
@@ -207,9 +208,9 @@ def _paced(parts, leg, stiff_flow, span, s, least, bounds, curve):
     steps, stiff, bias, lost = _chosen_at(parts[5])(leg, stiff_flow, span, *about)
     own = over(leg, stiff_flow if stiff else leg.flow, span[0], span[1], steps)
     if lost > 2.0 * MOST_LOST or steps > bounds.most:
-        return own, s.step, np.inf
-    step = step_after(dt, steps, bias / allowed)
-    return own, step, bias if bias < np.inf else 0.0
+        return own, s.step, Bias(np.inf, np.inf)
+    step = step_after(dt, steps, over_allowed(bias, allowed, s.x.shape[1]))
+    return own, step, bias
 
 
 @jit

@@ -13,6 +13,7 @@ from .._addresses import Entry, function_at
 from .._jit import MATRIX, jit
 from .._views import rows_at
 from ..limits import LOOK, ROUNDING
+from ..small_matrices import product
 from .noise import OF_STATE
 from .steps import CUBE, LEG, flow, new_room, scaled, times_root
 
@@ -149,31 +150,19 @@ def _flow_matrices(J, h, M, N, term, new):
         for b in range(n):
             term[a, b] = M[a, b] = N[a, b] = 1.0 if a == b else 0.0
     for k in range(1, _TERMS):
-        _product(J, term, part / k, new)
+        product(J, term, part / k, new)
         for a in range(n):
             for b in range(n):
                 term[a, b] = new[a, b]
                 M[a, b] += term[a, b]
                 N[a, b] += term[a, b] / (k + 1)
     for _ in range(doublings):
-        _product(M, N, 1.0, new)
-        _product(M, M, 1.0, term)
+        product(M, N, 1.0, new)
+        product(M, M, 1.0, term)
         for a in range(n):
             for b in range(n):
                 N[a, b] = 0.5 * (N[a, b] + new[a, b])
                 M[a, b] = term[a, b]
-
-
-@jit
-def _product(A, B, factor, out):
-    """out = factor A B."""
-    n = A.shape[0]
-    for a in range(n):
-        for b in range(n):
-            s = 0.0
-            for c in range(n):
-                s += A[a, c] * B[c, b]
-            out[a, b] = factor * s
 
 
 @jit

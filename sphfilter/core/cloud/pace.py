@@ -7,7 +7,9 @@ import numpy as np
 
 from .._jit import jit
 from ..limits import LOOK, ROUNDING, TINY
+from ..small_matrices import add_carried, product
 from ..step_control import HELPED, MORE
+from .control import STEPS_ORDER, WRONG, over_allowed
 from .curve import along_curve
 from .noise import LANES, OF_STATE, fill_noise, mixed
 from .steps import Leg, new_room, walk
@@ -24,15 +26,18 @@ _MIRRORED = 4
 #: scenes: 1.2 to 1.6).
 _BEYOND = 1.5
 _CHANCE = 0.25  # of the square by chance, the least that counts: χ² of four is below 1 in nine of a hundred
-#: Times the square of a variance by chance, beyond which it counts. Measured: with 4 a stiff state's variance
-#: stays 12 % off, with 1 it takes three times the steps.
-_CLEAR = 2.0
 #: Standard deviations: rms distance of paths that have parted (√2 where nothing hangs together), and
 #: parts of an interval, of which the first is looked at then.
 _ASTRAY, _PARTS = 0.5, 64
-ORDER = 3.0  # of the steps' bias, of additive noise: measured by tests/core/test_cloud_core.py
 MOST_LOST = 0.1  # probability of points that were given up
 FIRST_TRIED = 4  # steps tried first, of stiff drifts, too; measured: 2 and 8 take .92 to 1.06 times the work
+
+
+class Bias(NamedTuple):
+    """What steps leave a mean off by, in standard deviations, and a variance, in parts of it."""
+
+    mean: float
+    variance: float
 
 
 class Steps(NamedTuple):
@@ -61,8 +66,8 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
 
     The span is begin and end, seconds; points x (N, n) have weights w (N,). It begins with a `number` of
     steps that may be `stiff`, moved by `stiff_flow`; there are `least` and `most`, and more than these where
-    that is not enough. Returns number and `stiff` as of `Steps`, the bias in standard deviations, and the
-    part of the points that the model carries to infinity.
+    that is not enough. Returns number and `stiff` as of `Steps`, their `Bias`, and the part of the points
+    that the model carries to infinity.
     """
     parts, part = 1, span
     while True:
@@ -80,7 +85,7 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
 def tried(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, most, allowed):
     """The result of `chosen` over one span, and whether no steps do because paths part."""
     every, x, before, again, astray = x, few(x, w, LOOK, table, bits), np.inf, False, False
-    far, best = farthest(every, w), number
+    far, best, n = farthest(every, w), number, x.shape[1]
     number, own = max(least, number), mixed(np.uint64(key), np.uint64(PILOT))
     while number <= most:
         flow = stiff_flow if stiff else leg.flow
@@ -89,9 +94,10 @@ def tried(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, m
         alone = 0.0 if stiff else thrown(coarse, fine, w[far])
         coarse, fine = coarse[: len(x)], fine[: len(x)]
         apart, chance = parted(coarse, fine, _GROUPS)
-        bias = _BEYOND * apart
-        too_much = bias / allowed
-        more = math.ceil(number * min(max(too_much ** (1.0 / ORDER), 1.2), MORE))
+        wide = wider(steps, half, fine, _GROUPS)
+        bias = Bias(_BEYOND * apart, _BEYOND * math.hypot(math.sqrt(2.0) * apart, wide))
+        too_much = over_allowed(bias, allowed, n)
+        more = math.ceil(number * min(max(too_much ** (1.0 / STEPS_ORDER), 1.2), MORE))
         if too_much > 1.0 and _may_be_chance(len(x), len(every), number, more, apart, chance, allowed):
             x, before, again = few(every, w, 4 * len(x), table, bits), np.inf, False  # a new look
             continue
@@ -100,7 +106,8 @@ def tried(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, m
             number, before, again = max(least, FIRST_TRIED) if stiff else number, np.inf, False
             continue
         astray = too_much > 1.0 and chance * math.sqrt(len(x) / _GROUPS) > _ASTRAY
-        helped = bias < (HELPED if stiff else 1.0) * before
+        # steps that forget all that was before them get all of a variance wrong, twice as many steps too
+        helped = too_much < (HELPED if stiff else 1.0) * before or (stiff and wide > WRONG)
         in_vain = again and not helped and number >= 2 * best  # not even twice the steps help
         if not too_much > 1.0 or (stiff and (2 * number > most or in_vain)):
             return number, stiff, bias, 1.0 - finite_rows(fine)[0].mean(), astray
@@ -110,9 +117,9 @@ def tried(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, m
         if again and not helped:  # by chance, perhaps
             more = max(2 * best, number + 1)
         else:
-            before, best = bias, number
+            before, best = too_much, number
         number, again = more, True
-    return number, stiff, np.inf, 0.0, astray
+    return number, stiff, Bias(np.inf, np.inf), 0.0, astray
 
 
 @jit
@@ -195,13 +202,10 @@ def parted(coarse, fine, groups):
     Both are standard deviations, the root of the mean square over groups of neighbours and states: what steps
     do to one branch of a density is judged by the width of that branch, which a few that steps threw out do
     not make wider. Those that the model carries to infinity do not count, as long as they are few.
-
-    Variances that are clearly apart, over all groups, count too, by √2 of what a mean is off by: noise that a
-    stiff drift damps is wrong where no mean is.
     """
     K, n = fine.shape
     size, total, chance = K // groups, 0.0, 0.0
-    ends, wider, scatter_of_wider = np.empty(size), np.zeros(n), np.zeros(n)
+    ends = np.empty(size)
     for g in range(groups):
         for a in range(n):
             low, high, reach, count = _eighths(fine[g * size : (g + 1) * size, a], ends)
@@ -227,18 +231,70 @@ def parted(coarse, fine, groups):
             total += off * off / (variance * n * groups)
             alone = max(scatter - _MIRRORED * count * off * off, 0.0) / (count * (count - _MIRRORED))
             chance += alone / (variance * n * groups)
-            together = 0.0
-            for i in range(g * size, (g + 1) * size):
-                if low - reach <= fine[i, a] <= high + reach:
-                    more = (coarse[i, a] - mean - off) ** 2 - (fine[i, a] - mean) ** 2
-                    together += more / (variance * count * groups)
-                if (i + 1) % _MIRRORED == 0:
-                    wider[a], scatter_of_wider[a] = wider[a] + together, scatter_of_wider[a] + together**2
-                    together = 0.0
-    for a in range(n):
-        total += 0.5 * max(wider[a] ** 2 - _CLEAR * scatter_of_wider[a], 0.0) / n
     apart = math.sqrt(max(total - chance, _CHANCE * chance)) if total < np.inf else np.inf
     return apart, math.sqrt(chance)
+
+
+@jit
+def wider(coarse, fine, x, groups):
+    """How far apart variances are after legs that end at x (K, n): parts of them, in the root mean square.
+
+    Noise that a stiff drift damps is wrong where no mean is. What each step adds to a covariance, and what it
+    leaves of it, is that about one end of each group: no chance is in it, as there is in variances of points.
+    """
+    (K, n), end, total = x.shape, coarse.t + coarse.steps * coarse.h, 0.0
+    size, width, scratch = K // groups, np.empty((groups, n)), np.empty((n, n))
+    for g in range(groups):
+        for a in range(n):
+            low, high = _eighths(x[g * size : (g + 1) * size, a], np.empty(size))[:2]
+            width[g, a] = 0.5 * (high - low)  # of a Gaussian, 1.15 standard deviations
+    about = x[size // 2 : groups * size : size].copy()
+    (_, wrong), (M, P) = one_step(coarse, end, about, width), one_step(fine, end, about, width)
+    for g in range(groups):
+        add_carried(M[g], P[g], scratch)  # two of the fine steps
+        wrong[g] -= P[g]
+        steps, more = 1, True
+        while steps < coarse.steps and more:
+            product(M[g], M[g], 1.0, scratch)
+            M[g] = scratch
+            add_carried(M[g], wrong[g], scratch)
+            add_carried(M[g], P[g], scratch)
+            steps *= 2
+            for a in range(n):
+                more &= P[g, a, a] <= width[g, a] ** 2  # else it has all that there is
+        for a in range(n):
+            off = wrong[g, a, a] / max(P[g, a, a], width[g, a] ** 2, TINY)
+            total += off * off / (n * groups) if off == off else 0.0
+    return math.sqrt(total)
+
+
+@jit
+def one_step(leg, end, x, width):
+    """What the last step of a leg leaves of a difference about states x (K, n), and what noise it adds.
+
+    Both (K, n, n), the second covariances, are secants over ± width (K, n) and over ± noise.
+    """
+    (K, n), m, last = x.shape, leg.root.shape[0], over(leg, leg.flow, end - leg.h, end, 1)
+    count, room = 2 * (n + 3 * m), new_room(m)
+    ends, Z = np.empty((K * count, n)), np.zeros((3, m, K * count))
+    for i in range(K * count):
+        k, sign = i % count // 2, 1.0 - 2.0 * (i % 2)
+        for a in range(n):
+            ends[i, a] = x[i // count, a] + (sign * width[i // count, a] if a == k else 0.0)
+        if k >= n:
+            Z[(k - n) // m, (k - n) % m, i] = sign
+    for i in range(0, K * count, LANES):
+        walk(last, ends[i : i + LANES], Z[:, :, i:].copy(), False, room)
+    M, Q = np.zeros((K, n, n)), np.zeros((K, n, n))
+    for i in range(0, K * count, 2):
+        g, k = i // count, i % count // 2
+        for a in range(n):
+            secant = 0.5 * (ends[i, a] - ends[i + 1, a])
+            if k < n:
+                M[g, a, k] = secant / width[g, k] if width[g, k] > 0.0 else 0.0
+            for b in range(n if k >= n else 0):
+                Q[g, a, b] += secant * 0.5 * (ends[i, b] - ends[i + 1, b])
+    return M, Q
 
 
 @jit
