@@ -14,7 +14,7 @@ from ..core.cloud.cycle import put_through as through
 from ..core.cloud.linearise import LINEARISE, centres, linearise, lower_and_rows
 from ..core.cloud.maps import LINEARISE_MAP, MAPPED, linearise_map
 from ..core.cloud.move import MOVE, affine, move
-from ..core.cloud.noise import ADDITIVE, LANES, NORMAL, OF_STATE, even_normals, mixed, stored
+from ..core.cloud.noise import ADDITIVE, LANES, NORMAL, OF_STATE, mixed, stored
 from ..core.cloud.pace import Bias, Steps, chosen
 from ..core.cloud.reading import Reader
 from ..core.cloud.steps import BESIDE, BETWEEN, FLOW, NO_LEG, STIFF_FLOW, Leg
@@ -26,7 +26,7 @@ from ..model.dynamics import Dynamics
 from ..model.paths import noise_root
 from ..model.sde import SDE
 from .points import NO_LINES, CloudState, Pace, Passage, Path, Points, Told
-from .quasi_random import net
+from .quasi_random import even, net
 
 #: Passages after which a path is forgotten, and numbers of all points that they may hold: a reading leads
 #: points through all of them once more. Measured: half and twice of both change no run.
@@ -186,11 +186,6 @@ def gone_again(path: Path, models: tuple[Dynamics, ...]) -> Path:
         passages.append(passage)
         U.append(u)
     return Path(path.x, path.block, tuple(passages), tuple(U), path.older)
-
-
-def even(count: int, dim: int, key: int, part: int) -> Floats:
-    """Standard normals (count, dim) of the net of a part of a path, turned and shifted by a key."""
-    return even_normals(net(count, dim, part), np.uint64(key))
 
 
 def normals(count: int, dim: int, key: Any, parts: int, first: int = 0) -> tuple[Floats, ...]:

@@ -14,7 +14,7 @@ from ..core.family.rules import rule as family_rule
 from ..core.limits import LOG_2_PI
 from ..errors import PropagationError
 from .points import moments_of_sum
-from .quasi_random import quasi_random, spread_evenly, systematic
+from .quasi_random import quasi_random, systematic
 from .shapes import Shape
 
 ENTRIES = 2**21  # of an array of states times pieces: 8 ENTRIES = 16 MB
@@ -179,7 +179,7 @@ class GaussianPieces(Shape):
         n_each = np.maximum((_STATES * self.pieces.w).astype(int), 64)
         own = np.repeat(np.arange(len(n_each)), n_each)
         number = np.arange(len(own)) - np.searchsorted(own, own)  # even among those of every piece
-        even = spread_evenly(len(own), self.pieces.mean.shape[1], 0.5, number)
+        even = quasi_random(len(own), self.pieces.mean.shape[1], 0, number)
         return self.at(own, even), (self.pieces.w / n_each)[own]
 
     def at(self, own: Ints, uniform: Floats) -> Floats:

@@ -13,8 +13,8 @@ from ..core.cloud.ahead import LEAST, expected, fitted, led
 from ..core.cloud.linearise import block_roots, centres
 from ..core.cloud.pace import Steps
 from ..core.cloud.way import blocks_of
-from ..density.passage import Transitions, along, even, stored_key
-from ..density.quasi_random import systematic
+from ..density.passage import Transitions, along, stored_key
+from ..density.quasi_random import even, systematic
 from ..model.dynamics import Dynamics
 
 #: Standard deviations of a region, by which λ may shift it: none has points much farther out. Measured: half
