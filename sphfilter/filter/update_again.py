@@ -197,10 +197,14 @@ def _again(
     finer = config if target is None else replace(config, target_error=target)
     if prediction.before is None:  # what was read before is in the prior, and nothing leads to that
         return start, *update(start, measurement, z, config, n_particles="auto")
-    prior = prediction.from_density(start, finer, "auto")
+    prior, log_evidence = prediction.from_density(start, finer, "auto"), 0.0
+    first = prior if prediction.readings else None
     for sensor, numbers in prediction.readings:
-        prior, _ = update(prior, sensor, numbers, config, n_particles="auto")
-    return prior, *update(prior, measurement, z, config, n_particles="auto")
+        prior, info = update(prior, sensor, numbers, config, n_particles="auto")
+        log_evidence += info.log_evidence
+    prediction = prediction._replace(prior=first, log_evidence=log_evidence)
+    once = update(prior, measurement, z, config, n_particles="auto")
+    return prior, *_used_together(prediction, once, (measurement, z), config, "auto")
 
 
 def _on_more_points(

@@ -6,12 +6,15 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 
 import numpy as np
 import pytest
 
 import sphfilter as sf
 
+#: How a call begins, that a script in the background would have ignore interrupts, as it does itself.
+APART = {"start_new_session": True, "preexec_fn": partial(signal.signal, signal.SIGINT, signal.SIG_DFL)}
 SCRIPT = """
 import sys, time
 import numpy as np
@@ -51,7 +54,7 @@ def test_an_interrupt_ends_all_and_keeps_what_is_finished(times, tmp_path):
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             text=True,
-            start_new_session=True,
+            **APART,
         )
         assert running.stdout.readline()  # it has begun
         time.sleep(chance.uniform(0.0, 3.0))
@@ -76,7 +79,7 @@ def test_an_interrupt_that_python_drops_ends_a_campaign_all_the_same(tmp_path):
     ).replace("import sys, time", "import os, signal, sys, time")
     (tmp_path / "lost.py").write_text(lost, encoding="utf-8")
     call = [sys.executable, str(tmp_path / "lost.py"), str(tmp_path / "folder"), "200"]
-    done = subprocess.run(call, stderr=subprocess.PIPE, text=True, timeout=60, start_new_session=True)
+    done = subprocess.run(call, stderr=subprocess.PIPE, text=True, timeout=60, **APART)
     assert done.returncode != 0 and "Exception ignored" in done.stderr
     assert 3 <= len(list((tmp_path / "folder").glob("run_*.npz"))) < 10
 
