@@ -249,7 +249,7 @@ def chosen_steps(
     about = points.x, points.w, key, *places(model.dim), begin.number, begin.stiff, *bounds, allowed
     with surfacing():
         number, stiff, bias, lost = chosen(_leg(model, False), address_of(STIFF_FLOW), span, *about)
-    return Steps(number, stiff), Bias(*bias), lost
+    return Steps(number, stiff), bias, lost
 
 
 def _passage(model: Dynamics, x: Floats, span: tuple[float, float], steps: Steps, key: int) -> Passage:

@@ -7,6 +7,7 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.cloud.control import decisive, error_by, expected_square, smoothed, square_of_more
+from ..core.cloud.pace import Bias
 from ..core.cloud.steps import Leg
 from ..core.cloud.weights import carriers, weighted_moments
 from ..core.small_matrices import cholesky, invert_lower
@@ -108,8 +109,7 @@ class Pace(NamedTuple):
     step: float = 0.0  # seconds, of the first prediction after a reading
     stiff: bool = False
     legs: int = 0  # predictions since the last reading
-    bias: float = 0.0  # that their steps have had, of a mean, in standard deviations
-    of_variance: float = 0.0  # and of a variance, in parts of it
+    bias: Bias = Bias(0.0, 0.0)  # that their steps have had
 
 
 class Origin(NamedTuple):

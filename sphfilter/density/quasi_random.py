@@ -74,13 +74,16 @@ def weighted_points(
     return x, w / w.sum()
 
 
+@lru_cache(maxsize=16)
 def _sobol(count: int, dim: int, part: int) -> Floats:
-    """The first points (count, dim) of a scrambled Sobol sequence over the unit cube."""
+    """The first points (count, dim), read-only, of a scrambled Sobol sequence over the unit cube."""
     from scipy.stats import qmc  # on use: import time
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # numbers of points that are no power of two
-        return np.asarray(qmc.Sobol(dim, rng=np.random.default_rng([_SEED, part])).random(count))
+        uniform = np.asarray(qmc.Sobol(dim, rng=np.random.default_rng([_SEED, part])).random(count))
+    uniform.flags.writeable = False
+    return uniform
 
 
 @lru_cache(maxsize=64)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._version import __version__
+from ..core.cloud.pace import Bias
 from ..core.cloud.way import blocks_of
 from ..core.field.fitting import build_field
 from ..core.field.stencils import stencils
@@ -115,9 +116,9 @@ def models_of(density: ParticleDensity) -> tuple[Dynamics, ...]:
 
 def _stored_cloud(state: CloudState) -> Arrays:
     """A cloud as arrays by name; of a path what begins it, and the spans and steps of its predictions."""
-    arrays = {"told": np.array(state.told), "pace": np.array([*map(float, state.pace[:4])])}
-    numbers = {"size": state.size, "inherited": state.inherited, "age": state.age}
-    numbers["of_variance"] = state.pace.of_variance
+    *pace, (of_mean, of_variance) = state.pace
+    arrays = {"told": np.array(state.told), "pace": np.array([*map(float, pace), of_mean])}
+    numbers = {"size": state.size, "inherited": state.inherited, "age": state.age, "of_variance": of_variance}
     arrays |= {name: np.array(value) for name, value in numbers.items()}
     if state.origin is not None:
         family, defect, unsigned, off, log_mass = state.origin
@@ -142,8 +143,8 @@ def _stored_cloud(state: CloudState) -> Arrays:
 
 def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[Dynamics]) -> ParticleDensity:
     """The cloud of arrays that `_stored_cloud` made."""
-    step, *_, stiff, legs, bias = arrays["pace"].tolist()  # older files had one more
-    pace = Pace(step, bool(stiff), int(legs), bias, float(arrays.get("of_variance", 0.0)))
+    step, *_, stiff, legs, of_mean = arrays["pace"].tolist()  # older files had one more
+    pace = Pace(step, bool(stiff), int(legs), Bias(of_mean, float(arrays.get("of_variance", 0.0))))
     points, shadow = (_points_from(part(name, arrays), models) for name in ("points", "shadow"))
     size = arrays["size"].item() or len(points.w)  # older files have none where a reading began the cloud
     inherited, age = float(arrays.get("inherited", 0.0)), int(arrays.get("age", 0))  # older files have none

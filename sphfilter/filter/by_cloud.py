@@ -9,7 +9,7 @@ import numpy as np
 from .._types import Floats
 from ..config import CloudScheme, FilterConfig
 from ..core.cloud.control import errors_told, evidence_error, wrong_beside
-from ..core.cloud.pace import Bias, Steps
+from ..core.cloud.pace import Steps
 from ..core.limits import LITTLE
 from ..density.as_cloud import cloud_of
 from ..density.as_family import moments_on_line
@@ -114,7 +114,7 @@ def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading |
         shadow = _part_of(found.points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
     numbers = found.effective, found.of_variance, state.size
-    errors = errors_told(told.mean, told.variance, *numbers, Bias(*state.pace[-2:]))
+    errors = errors_told(told.mean, told.variance, *numbers, state.pace.bias)
     pace = Pace(state.pace.step, state.pace.stiff)
     state = state._replace(points=found.points, shadow=shadow, told=told, pace=pace)
     unsure = evidence_error(told.log_evidence, found.lineages, state.size, len(found.moments[0]))

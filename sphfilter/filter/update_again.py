@@ -55,11 +55,9 @@ class Update(NamedTuple):
         """An update of a density of this origin: a `Prediction`, an `Update` or none."""
         known = prediction_of(origin)
         if info.reason != NOTHING_CAME:
-            known = known._replace(
-                readings=(*known.readings, (sensor, z)),
-                prior=before if known.prior is None else known.prior,
-                log_evidence=known.log_evidence + info.log_evidence,
-            )
+            prior = before if known.prior is None else known.prior
+            readings, log_evidence = (*known.readings, (sensor, z)), known.log_evidence + info.log_evidence
+            known = known._replace(readings=readings, prior=prior, log_evidence=log_evidence)
         return cls(before, sensor, z, own, known)
 
     def repeated(self, config: Any, n_particles: int) -> ParticleDensity:

@@ -16,7 +16,7 @@ from ..core.cloud.control import (
     step_after,
     steps_of_shadow,
 )
-from ..core.cloud.pace import FIRST_TRIED, MOST_LOST, Steps
+from ..core.cloud.pace import FIRST_TRIED, MOST_LOST, Bias, Steps
 from ..core.cloud.weights import AWAY, any_beyond, compared, near_others
 from ..core.limits import LOOK, SAID
 from ..density.as_cloud import cloud_of
@@ -123,8 +123,8 @@ def carried_cloud(
         sums.append(moments(moved.x, moved.w))
     told = state.told.of(count / state.size)
     off = squared_differences(ends[0], ends[1], domain, sums)
-    error = math.hypot(told.after(*off).errors.mean, pace.bias, state.inherited)
-    wider = math.hypot(math.sqrt(2.0) * error, pace.of_variance)
+    error = math.hypot(told.after(*off).errors.mean, pace.bias.mean, state.inherited)
+    wider = math.hypot(math.sqrt(2.0) * error, pace.bias.variance)
     state = state._replace(
         points=ends[0], shadow=ends[1], size=count, told=told, pace=pace, age=state.age + 1
     )
@@ -192,7 +192,7 @@ def _steps(
     if own:
         return Steps(own), Steps(own), pace
     assert isinstance(model, SDE)
-    dt, (step, stiff, legs, *had), points = span[1] - span[0], pace, state.points
+    dt, (step, stiff, legs, had), points = span[1] - span[0], pace, state.points
     shorter = legs ** (1.0 / STEPS_ORDER)  # biases of predictions without a reading between add up
     least = least_steps(model, points.x, span)
     number = math.ceil(dt * shorter / step - 1e-9) if step > 0.0 else FIRST_TRIED
@@ -209,7 +209,7 @@ def _steps(
     _enough(steps.number, most, span)
     next_step = step_after(dt * shorter, steps.number, over_allowed(bias, allowed, model.dim))
     few = steps._replace(number=steps_of_shadow(steps.number, steps.stiff, least))
-    return steps, few, Pace(next_step, steps.stiff, legs, *np.add(had, bias).tolist())
+    return steps, few, Pace(next_step, steps.stiff, legs, Bias(*np.add(had, bias).tolist()))
 
 
 def least_steps(model: Dynamics, x: Floats, span: tuple[float, float]) -> int:

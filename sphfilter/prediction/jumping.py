@@ -195,7 +195,7 @@ class _Sources:
             sums.append(moments(points.x, points.w))
         off = squared_differences(clouds[0], clouds[1], self._domain, sums)
         inherited = math.sqrt(inherited)
-        error = math.hypot(state.told.after(*off).errors.mean, state.pace.bias, inherited)
+        error = math.hypot(state.told.after(*off).errors.mean, state.pace.bias.mean, inherited)
         state = state._replace(points=clouds[0], shadow=clouds[1], inherited=inherited, origin=None)
         return state, sums[0], error
 

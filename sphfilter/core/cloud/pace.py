@@ -244,9 +244,10 @@ def wider(coarse, fine, x, groups):
     """
     (K, n), end, total = x.shape, coarse.t + coarse.steps * coarse.h, 0.0
     size, width, scratch = K // groups, np.empty((groups, n)), np.empty((n, n))
+    ends = np.empty(size)
     for g in range(groups):
         for a in range(n):
-            low, high = _eighths(x[g * size : (g + 1) * size, a], np.empty(size))[:2]
+            low, high = _eighths(x[g * size : (g + 1) * size, a], ends)[:2]
             width[g, a] = 0.5 * (high - low)  # of a Gaussian, 1.15 standard deviations
     about = x[size // 2 : groups * size : size].copy()
     (_, wrong), (M, P) = one_step(coarse, end, about, width), one_step(fine, end, about, width)
