@@ -12,7 +12,7 @@ import numpy as np
 from .._types import Floats
 from ..config import CloudScheme
 from ..core.cloud.control import wrong_beside
-from ..core.cloud.cycle import JUDGE, REFUSED, UNUSUAL, Bounds
+from ..core.cloud.cycle import JUDGE, UNUSUAL, Bounds
 from ..density.as_cloud import cloud_of
 from ..density.memory import MISSED, Memory, doubtful_from, flagged_from
 from ..density.particle_density import ParticleDensity
@@ -27,7 +27,7 @@ from ..prediction.cloud import as_points, carried_cloud, least_steps, shadow_siz
 from ..prediction.ladder import becomes_cloud
 from .by_cloud import cloud_times_likelihood, error_added
 from .read_only import read_only as as_found
-from .reading_at_prior import OUTLYING, ReadingAtPrior, reading_of
+from .reading_at_prior import ReadingAtPrior, reading_of
 from .stacked import Stacked
 from .state import FilterState
 
@@ -38,7 +38,7 @@ _POINTS = 2**16
 _NONE = np.empty(0)
 _COLUMNS = (
     "x_prior", "P_prior", "x", "P", "log_evidence", "evidence_error", "error", "variance_error",
-    "innovation", "innovation_cov",
+    "innovation", "innovation_cov", "flagged",
 )  # fmt: skip
 
 
@@ -142,7 +142,8 @@ class _Run:
         times, Z = times[: K + 1], Z[:K]
         spans = zip(times[:-1].tolist(), times[1:].tolist(), strict=True)
         least = np.array([least_steps(model, state.points.x, span) for span in spans])
-        bounds = target, MISSED * target, flagged_from(target), DOUBTFUL, OUTLYING, CloudScheme().max_steps
+        told = flagged_from(target), doubtful_from(target), DOUBTFUL
+        bounds = target, MISSED * target, *told, CloudScheme().max_steps
         reader = self._stacked(Z[0], times[1]).reader
         assert reader is not None
         about = least, (count, shadow_size(count)), needs.calm, Bounds(*bounds)
@@ -153,7 +154,7 @@ class _Run:
             rows = _rows(self._sensor, Z[: found.done], times[1:], found.rows)
             needs = needs._replace(points=found.points, calm=found.calm, legs=0, age=found.state.age)
             self.reached = self.reached.and_on(found.state, needs, rows, float(times[found.done]))
-        return found.end == UNUSUAL, refused or found.end == REFUSED
+        return found.end == UNUSUAL, refused
 
     def _added(self, found: Through, times: Floats, Z: Floats) -> float:
         """Error of the mean that the last reading put through has added."""
@@ -172,17 +173,14 @@ class _Run:
         except PropagationError:
             return False
         points = moved.state.points
-        expected, S, _ = reading_of(sensor, span[1], points.x, points.w, moved.moments)
-        y, S = sensor.residual(z, expected), S + sensor.noise_cov
-        far = stacked.asked[0]._replace(innovation=y, S=S).outlying
-        flagged = flagged_from(target)
-        usual = not far and moved.lost == 0.0 and moved.error < doubtful_from(target)
-        done = cloud_times_likelihood(moved.state, stacked) if usual else None
+        done = cloud_times_likelihood(moved.state, stacked) if moved.lost == 0.0 else None
         if done is None:
             return False
-        done = done.inheriting(moved.state, moved.moments)
-        if not done.error <= flagged or done.doubt > wrong_beside(flagged):
-            return False
+        expected, S, _ = reading_of(sensor, span[1], points.x, points.w, moved.moments)
+        y, S = sensor.residual(z, expected), S + sensor.noise_cov
+        done, most = done.inheriting(moved.state, moved.moments), flagged_from(target)
+        flagged = not moved.error < doubtful_from(target) or not done.error <= most
+        flagged |= done.doubt > wrong_beside(most)
         told = done.state.told.decisive(target, model.dim)
         if max(done.error, told) > MISSED * target:
             added = error_added(state, done.state, [(model, t1)], t0, stacked, done.moments, target)
@@ -190,7 +188,7 @@ class _Run:
                 return False
         needs = needs._replace(legs=0, age=done.state.age).told(told, target, done.state.size)
         said = done.log_evidence, done.evidence_error, done.error, done.variance_error
-        row = _row(*moved.moments, *done.moments, *said, y, S)
+        row = _row(*moved.moments, *done.moments, *said, y, S, flagged)
         self.reached = self.reached.and_on(done.state, needs, [row], span[1])
         return True
 
@@ -276,4 +274,4 @@ def _row(*told: Any) -> dict[str, Any]:
     """Row of a result for a reading that is usual, of columns as compiled code makes them."""
     row = zip(_COLUMNS, told, strict=True)
     known = {name: float(value) if np.ndim(value) == 0 else value for name, value in row}
-    return known | {"flagged": False, "accepted": True}
+    return known | {"flagged": bool(known["flagged"]), "accepted": True}

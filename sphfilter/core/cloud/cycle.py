@@ -13,7 +13,6 @@ from numba import types
 from .._addresses import ADDRESS, NOWHERE_AT, Entry
 from .._jit import MATRIX, VECTOR, jit
 from ..limits import ALIKE
-from ..small_matrices import cholesky, invert_lower, white_square
 from .control import (
     apart_by,
     bias_allowed,
@@ -43,8 +42,8 @@ from .weights import AWAY, any_beyond, carriers, compared, effective, near_other
 #: by five.
 FEW = 0.25
 #: How a record ends: all is put through; the next cloud has another number of points; what the last reading
-#: left is to be judged; the next one is unusual, or something is to be said of it, and is not put through.
-ALL, MORE, JUDGE, UNUSUAL, REFUSED = range(5)
+#: left is to be judged; the next one is unusual, and is not put through.
+ALL, MORE, JUDGE, UNUSUAL = range(4)
 _INTS, _LINES, _KEY = types.int64[::1], types.int64[:, ::1], types.int64
 _NET = types.Array(types.float64, 2, "C", readonly=True)
 _TABLE = types.uint32[::1], types.int64
@@ -83,13 +82,13 @@ class Standing(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """Errors of a mean, in standard deviations, up to which a reading is usual; and the most steps."""
+    """Errors of a mean, in standard deviations, that decide about a reading; and the most steps."""
 
     target: float
     missed: float  # from which a reading is looked at again
-    flagged: float  # from which it is said
+    flagged: float  # from which it is flagged
+    unresolved: float  # from which a prediction is
     doubtful: float  # in which nothing is right
-    outlying: float  # distance of a reading from its prediction
     most: int  # steps
 
 
@@ -115,13 +114,14 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
     the guide, the begin and the motion, of the cloud and of its shadow; `curve` is a table and its bits.
     Returns how the record ends, how many readings are done, the values of a `Standing` after the last of
     them and before it, and of each reading mean and covariance before and after it, the log-evidence and
-    its error, the errors of the mean and the variances, and the innovation with its covariance.
+    its error, the errors of the mean and the variances, the innovation with its covariance, and whether it
+    or its prediction is flagged.
     """
     (leg, stiff_flow, changes), (reader, Z), (times, least) = motion, sensor, spans
     (K, k), n, count = Z.shape, standing.x.shape[1], nets[0][0].shape[0]
     m, P, x, C = np.empty((K, n)), np.empty((K, n, n)), np.empty((K, n)), np.empty((K, n, n))
     evidence, unsure, error, wider = np.empty(K), np.empty(K), np.empty(K), np.empty(K)
-    off, S = np.empty((K, k)), np.empty((K, k, k))
+    off, S, flagged = np.empty((K, k)), np.empty((K, k, k)), np.empty(K, np.bool_)
     before, end, done = standing, ALL, 0
     while done < K and end == ALL:
         j, s, span = done, standing, (times[done], times[done + 1])
@@ -134,19 +134,19 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         few = over(own, own.flow, *span, fewer)
         one, two = _both(about, few, s, nets, curve)
         ahead, squares = _told(s, one, two, count)
-        if not (one.usual and two.usual and both(ahead, bias.mean) < max(bounds.doubtful, bounds.flagged)):
+        error[j], wider[j] = errors_told(*squares[:2], one.found[7], one.found[6], count, bias)
+        if not (one.usual and two.usual and error[j] == error[j]):
             end = UNUSUAL
             break
         _keep(one.mean, one.cov, m, P, j)
         _keep(one.found[4], one.found[5], x, C, j)
         evidence[j] = one.found[3]
         unsure[j] = evidence_error(squares[2], one.found[8], count, n)
-        error[j], wider[j] = errors_told(*squares[:2], one.found[7], one.found[6], count, bias)
         away, spread = foreseen(about[3], one.y, one.w, one.mean, one.cov)
         _keep(away, spread, off, S, j)
-        if not _unremarkable(error[j], squares, away, spread, bounds):
-            end = REFUSED
-            break
+        doubt = 2.0 * error_by(squares[1])
+        flagged[j] = not both(ahead, bias.mean) < bounds.unresolved or error[j] > bounds.flagged
+        flagged[j] |= doubt > wrong_beside(bounds.flagged)
         told = decisive(error_by(squares[0]), error_by(squares[1]), bounds.target, n)
         wanted = points_for(count, told, bounds.target)
         points, calm = next_points(count, wanted, s.calm)
@@ -156,7 +156,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         before, standing = s, Standing(a, b, c, d, e, f, count, *squares, *paced)
         done += 1
         end = JUDGE if max(error[j], told) > bounds.missed else MORE if points != count else ALL
-    return end, done, _bare(standing), _bare(before), (m, P, x, C, evidence, unsure, error, wider, off, S)
+    return end, done, _bare(standing), _bare(before), (m, P, x, C, evidence, unsure, error, wider, off, S, flagged)
 
 
 @jit
@@ -268,12 +268,3 @@ def _told(s, one, two, count):
     evidence = square_of_more(s.log_evidence, times)
     return ahead, (mean, variance, smoothed(evidence, (one.found[3] - two.found[3]) ** 2))
 
-
-@jit
-def _unremarkable(error, squares, off, S, bounds):
-    """Whether nothing is to be said of a reading of this innovation (k,) and covariance (k, k)."""
-    doubt = 2.0 * error_by(squares[1])
-    if not error <= bounds.flagged or doubt > wrong_beside(bounds.flagged):
-        return False
-    L = np.empty(S.shape)
-    return cholesky(S, L) and not white_square(invert_lower(L), off) > bounds.outlying**2
