@@ -3,7 +3,6 @@
 import numpy as np
 
 from sphfilter import validate
-from sphfilter.core.cloud.weights import weighted_moments
 from sphfilter.model.paths import advance
 
 from ._base import ReferenceFilter, gaussian_start
@@ -48,10 +47,8 @@ class JumpParticleFilter(ReferenceFilter):
 
     def _moments(self, belief):
         X, _, w = belief
-        n = self.model.dim
-        mean, cov = np.empty(n), np.empty((n, n))
-        weighted_moments(X, w, mean, cov)
-        return mean, cov
+        mean = w @ X
+        return mean, (w[:, None] * (X - mean)).T @ (X - mean)
 
     def _predicted(self, belief, t0, t1):
         X, modes, w = belief

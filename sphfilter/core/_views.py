@@ -50,3 +50,22 @@ def flat(typing_context, rows):
         return numbers._getvalue()
 
     return VECTOR(rows), codegen
+
+
+@intrinsic
+def stretch(typing_context, rows, a, first, size):
+    """Numbers (size,) of row a of an array (n, N) from one on, for as long as the caller keeps the whole.
+
+    A loop over them becomes vector code: its index is never below zero.
+    """
+
+    def codegen(context, builder, signature, arguments):
+        rows, a, first, size = arguments
+        whole = context.make_array(signature.args[0])(context, builder, rows)
+        length = builder.extract_value(whole.shape, 1)
+        numbers, width = context.make_array(VECTOR)(context, builder), context.get_constant(types.intp, 8)
+        at = builder.gep(whole.data, [builder.add(builder.mul(a, length), first)])
+        populate_array(numbers, data=at, shape=[size], strides=[width], itemsize=width, meminfo=None)
+        return numbers._getvalue()
+
+    return VECTOR(rows, types.intp, types.intp, types.intp), codegen

@@ -25,7 +25,7 @@ from ..model.discretization import linear_transition
 from ..model.dynamics import Dynamics
 from ..model.paths import noise_root
 from ..model.sde import SDE
-from .points import NO_LINES, CloudState, Pace, Passage, Path, Points, Told
+from .points import NO_LINES, CloudState, Pace, Passage, Path, Points, Told, columns
 from .quasi_random import even, net
 
 #: Passages after which a path is forgotten, and numbers of all points that they may hold: a reading leads
@@ -52,9 +52,9 @@ def points_of_gaussian(mean: Floats, cov: Floats, count: int, key: int, number: 
     root = noise_root(cov) if np.linalg.det(cov) <= 0.0 else np.linalg.cholesky(cov)
     x = mean + np.sqrt(1.0 - spread**2) * np.einsum("ij,kj->ik", net(count, n, _START + number), root)
     w = np.full(count, 1.0 / count)
-    x = np.ascontiguousarray(x[along(x, w)])
+    x = x[along(x, w)]
     key = stored_key(key, KERNEL)
-    u, middle = even(count, n, key, 0), centres(x)
+    u, middle = even(count, n, key, 0), centres(columns(x))
     noise = _changed(None, key, middle, (np.eye(n), np.zeros(n), spread * root))
     block = blocks_of(count)
     return Points(gone(noise, x, u, block, False), w, Path(x, block, (noise,), (u,)))
@@ -63,11 +63,11 @@ def points_of_gaussian(mean: Floats, cov: Floats, count: int, key: int, number: 
 def points_of_sample(points: Points, count: int, key: int) -> Points:
     """Weighted points of any density as the begin of a path of `count` points."""
     n = points.x.shape[1]
-    about = _lineage_of(points), count, key, net(count, n, 0), *places(n)
-    begun = begin(as_compiled(points.x), as_compiled(points.w), *about)
+    about = _lineage_of(points), count, key, net(count, n, 0).T, *places(n)
+    begun = begin(columns(points.x), as_compiled(points.w), *about)
     start, y, u, w, block, middle, lower, flow, older = begun
     kernel = Passage(None, stored_key(key, KERNEL), middle, middle, flow, lower, _NO_ROWS)
-    return Points(y, w, Path(start, block, (kernel,), (u,), older))
+    return Points(y.T, w, Path(start.T, block, (kernel,), (u.T,), older))
 
 
 def moved_points(
@@ -81,7 +81,7 @@ def moved_points(
         path = points.path
         assert path is not None
     (start, block, passages, U, _), leg = path, None
-    about = points.x, block, net(count, model.dim, len(passages)), key
+    about = columns(points.x), block, net(count, model.dim, len(passages)).T, key
     if model.linear:
         x, u, *linear = carry_linear(change_of(model, t1 - t0), *about)
     else:
@@ -89,7 +89,7 @@ def moved_points(
         with surfacing():
             x, u, *linear = carry(leg, *about)
     passage = Passage(leg, key, *linear)._replace(model=model, span=(t0, t1), steps=steps)
-    return Points(x, points.w, Path(start, block, (*passages, passage), (*U, u), path.older))
+    return Points(x.T, points.w, Path(start, block, (*passages, passage), (*U, u.T), path.older))
 
 
 def age_of(density: Any) -> int:
@@ -140,7 +140,7 @@ def put_through(
     that of the cloud; readings are of a sensor (K, k) at the other times, least (K,) the steps of each
     interval, counts and calm as of `Memory`.
     """
-    nets = tuple(tuple(net(count, model.dim, part) for part in (LED, 0, 1)) for count in counts)
+    nets = tuple(tuple(net(count, model.dim, part).T for part in (LED, 0, 1)) for count in counts)
     leg, changes = NO_LEG, _NO_CHANGES
     if model.linear:
         each = [change_of(model, dt) for dt in np.diff(times).tolist()]
@@ -150,7 +150,7 @@ def put_through(
         leg = _leg(model, False)
     standing: list[Any] = []
     for points in (state.points, state.shadow):
-        standing += [points.x, points.w, _lineage_of(points)]
+        standing += [columns(points.x), points.w, _lineage_of(points)]
     standing += [state.size, *state.told, state.pace.step, state.pace.stiff, counts[0], calm, state.age]
     motion = leg, address_of(STIFF_FLOW), changes
     about = motion, readings, (times, least), Standing(*standing), nets, bounds, places(model.dim)
@@ -163,7 +163,7 @@ def put_through(
 
 def _state_of(standing: Standing) -> CloudState:
     x, w, lineage, few_x, few_w, few_lineage, size, *told, step, stiff, _, _, age = standing
-    points, shadow = Points(x, w, lineage=lineage), Points(few_x, few_w, lineage=few_lineage)
+    points, shadow = Points(x.T, w, lineage=lineage), Points(few_x.T, few_w, lineage=few_lineage)
     return CloudState(points, shadow, size, Told(*told), Pace(step, stiff), age=age)
 
 
@@ -196,11 +196,12 @@ def normals(count: int, dim: int, key: Any, parts: int, first: int = 0) -> tuple
 def gone(passage: Passage, x: Floats, u: Floats, block: Ints, again: bool) -> Floats:
     """Points (N, n) at the end of a passage, from x, with ends moved by u; `again`: other noise beside."""
     if passage.leg is None:
-        return affine(x, u, block, passage.start, passage.end, passage.flow, passage.lower)
-    x, key = x.copy(), sub_key(passage.key, AGAIN if again else FIRST)
+        about = block, passage.start, passage.end, passage.flow, passage.lower
+        return np.asarray(affine(columns(x), columns(u), *about).T)
+    ends, key = columns(x).copy(), sub_key(passage.key, AGAIN if again else FIRST)
     with surfacing():
-        move(passage.leg, x, u, passage.rows, block, key, 0, -(-len(x) // LANES))
-    return x
+        move(passage.leg, ends, columns(u), passage.rows, block, key, 0, -(-len(x) // LANES))
+    return ends.T
 
 
 def leg_of(model: Dynamics, t0: float, t1: float, steps: int, stiff: bool = False) -> Leg:
@@ -246,15 +247,15 @@ def chosen_steps(
 
     The last number is the part of a few points that the model carries to infinity.
     """
-    about = points.x, points.w, key, *places(model.dim), begin.number, begin.stiff, *bounds, allowed
+    about = columns(points.x), points.w, key, *places(model.dim), begin.number, begin.stiff, *bounds
     with surfacing():
-        number, stiff, bias, lost = chosen(_leg(model, False), address_of(STIFF_FLOW), span, *about)
+        number, stiff, bias, lost = chosen(_leg(model, False), address_of(STIFF_FLOW), span, *about, allowed)
     return Steps(number, stiff), bias, lost
 
 
 def _passage(model: Dynamics, x: Floats, span: tuple[float, float], steps: Steps, key: int) -> Passage:
     """A model over an interval, linearised about blocks of points x (N, n)."""
-    start = centres(x)
+    start = centres(columns(x))
     if model.linear:
         return _changed(model, key, start, change_of(model, span[1] - span[0]))._replace(
             span=span, steps=steps
@@ -308,13 +309,13 @@ class Transitions(NamedTuple):
     def moved(self, u: Floats, key: int, number: Ints | None = None) -> Floats:
         """Ends (M, n), as the model has them, of states of numbers (M,) or of all, moved by u (M, n)."""
         number = np.arange(len(self.x)) if number is None else number
-        x = np.ascontiguousarray(self.x[number])
         if self.rows is None:
             return self.end[number] + np.einsum("iab,ib->ia", self.lower[number], u)
-        leg, block = leg_of(self.model, *self.span, *self.steps), np.arange(len(x))
+        leg, block = leg_of(self.model, *self.span, *self.steps), np.arange(len(number))
+        x, own = columns(self.x[number]).copy(), sub_key(key, FIRST)
         with surfacing():
-            move(leg, x, u, self.rows[number], block, sub_key(key, FIRST), 0, -(-len(x) // LANES))
-        return x
+            move(leg, x, columns(u), self.rows[number], block, own, 0, -(-len(block) // LANES))
+        return x.T
 
 
 def _changed(
@@ -327,4 +328,4 @@ def _changed(
 
 def along(x: Floats, w: Floats) -> Ints:
     """Numbers of points (N, n) in an order in which neighbours follow each other."""
-    return along_curve(as_compiled(x), as_compiled(w), *places(x.shape[1]))
+    return along_curve(columns(x), as_compiled(w), *places(x.shape[1]))

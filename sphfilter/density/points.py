@@ -154,7 +154,17 @@ class Carried(NamedTuple):
 
         The prior's points may have lineages (readings, M).
         """
-        return cls(*carriers(x, log_w, ancestor, older))
+        x, *rest = carriers(columns(x), log_w, ancestor, older)
+        return cls(x.T, *rest)
+
+
+def columns(x: Floats) -> Floats:
+    """Points (N, n) as compiled code takes them, (n, N): a copy of what is not such in memory already.
+
+    What that code has made is, as its transpose.
+    """
+    turned = x.T
+    return turned if turned.flags.carray else np.array(turned, order="C")
 
 
 def moments_of_sum(w: Floats, means: Any, covs: Any) -> tuple[Floats, Floats]:
@@ -174,5 +184,5 @@ def moments(x: Floats, w: Floats) -> tuple[Floats, Floats]:
     """Mean (n,) and covariance (n, n) of weighted points, the same bits whatever the threads."""
     n = x.shape[1]
     mean, cov = np.empty(n), np.empty((n, n))
-    weighted_moments(x, w, mean, cov)
+    weighted_moments(columns(x), w, mean, cov)
     return mean, cov

@@ -101,11 +101,11 @@ def net(count: int, dim: int, part: int = 0) -> Floats:
     z -= z.mean(axis=0)
     if count > 2 * dim:
         z = np.linalg.solve(np.linalg.cholesky(z.T @ z / count), z.T).T
-    z = np.ascontiguousarray(z)
+    z = np.ascontiguousarray(z.T)  # as compiled code takes it
     z.flags.writeable = False
-    return z
+    return z.T
 
 
 def even(count: int, dim: int, key: int, part: int) -> Floats:
     """Standard normals (count, dim) of the net of a part of a path, turned and shifted by a key."""
-    return np.asarray(even_normals(net(count, dim, part), np.uint64(key)))
+    return np.asarray(even_normals(net(count, dim, part).T, np.uint64(key)).T)

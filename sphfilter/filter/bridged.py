@@ -20,7 +20,7 @@ from ..core.cloud.way import blocks_of
 from ..core.cloud.weights import effective, normalise
 from ..core.limits import TINY
 from ..density.passage import LED, along, gone, normals, relinearised, stored_key, sub_key
-from ..density.points import Carried, Passage, Points
+from ..density.points import Carried, Passage, Points, columns
 from ..density.quasi_random import net
 from .stacked import Stacked, seen
 
@@ -91,7 +91,9 @@ def _led(
     if rows is not None:  # what moves points later is noise of the reading
         first = np.ascontiguousarray(HL @ rows[:, :, :n])
         R = R + HL @ HL.swapaxes(1, 2) - first @ first.swapaxes(1, 2)
-    return look_ahead(r, u[0], w, block, first, np.ascontiguousarray(R), net(count, n, LED), np.uint64(key))
+    about = block, first, np.ascontiguousarray(R), net(count, n, LED).T, np.uint64(key)
+    ancestor, new, log_ratio = look_ahead(columns(r), columns(u[0]), w, *about)
+    return ancestor, new.T, log_ratio
 
 
 def _halved(passages: Any, x: Floats, key: Any) -> tuple[Passage, ...]:
@@ -104,7 +106,7 @@ def _halved(passages: Any, x: Floats, key: Any) -> tuple[Passage, ...]:
             rest = first.leg._replace(t=t, steps=first.leg.steps - steps)
             later = [first._replace(leg=rest), *later]
             first = first._replace(leg=first.leg._replace(steps=steps))
-    c, out = centres(x), []
+    c, out = centres(columns(x)), []
     for k, passage in enumerate([first, *later]):
         out.append(relinearised(passage, c, stored_key(key, 100 + k)))
         c = out[-1].end

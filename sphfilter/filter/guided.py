@@ -16,7 +16,7 @@ from ..core.cloud.steps import NO_LEG
 from ..core.cloud.weights import effective, prior_times
 from ..core.limits import ALIKE
 from ..density.passage import LED, gone, normals, sub_key
-from ..density.points import Carried, Points, Prior
+from ..density.points import Carried, Points, Prior, columns
 from ..density.quasi_random import net
 from ..model.compile import surfacing
 from .bridged import bridged
@@ -112,11 +112,11 @@ def _at_once(points: Points, sensor: Stacked, key: int) -> Carried | None:
     count, n = points.x.shape
     kernel, moved = (Part(p.start, p.end, p.flow, p.lower, p.rows) for p in path.passages)
     leg = NO_LEG if path.passages[1].leg is None else path.passages[1].leg
-    about = leg, leg is NO_LEG, path.passages[1].key, path.x, points.x, points.w, path.block
-    nets = net(count, n, LED), net(count, n, 0), net(count, n, 1)
+    about = leg, leg is NO_LEG, path.passages[1].key, columns(path.x), columns(points.x), points.w, path.block
+    nets, u = tuple(net(count, n, part).T for part in (LED, 0, 1)), map(columns, path.u)
     with surfacing():
-        x, log_w, ancestor, wrong = weigh(reader, *about, kernel, moved, *path.u, nets, key)
-    return None if wrong else Carried.of(x, log_w, ancestor, path.older)
+        x, log_w, ancestor, wrong = weigh(reader, *about, kernel, moved, *u, nets, key)
+    return None if wrong else Carried.of(x.T, log_w, ancestor, path.older)
 
 
 def _in_turn(points: Points, sensor: Stacked, key: int) -> tuple[Carried, Stacked]:
@@ -139,10 +139,10 @@ def _twice(points: Points, log_l: Floats, h: Floats, sensor: Stacked, key: int) 
     x, w, (x0, block, passages, U, _) = points.x, points.w, path
     (count, n), own = x.shape, sub_key(key, GUIDE)
     rows, u, HL, r, R = seen(sensor, passages, x0, x, U, w, block, h, WIDER, WIDER * OWN)
-    ancestor, u, log_ratio = look_ahead(r, u, w, block, HL, R, net(count, n, LED), own)
+    ancestor, new, log_ratio = look_ahead(columns(r), columns(u), w, block, HL, R, net(count, n, LED).T, own)
     if not len(ancestor):
         return None
-    y, block = x0[ancestor], block[ancestor]
+    y, block, u = x0[ancestor], block[ancestor], new.T
     V = [u] if rows is None else _led(rows, block, u, len(passages), own)
     for passage, v in zip(passages, V, strict=True):
         y = gone(passage, y, v, block, True)
@@ -154,6 +154,6 @@ def _twice(points: Points, log_l: Floats, h: Floats, sensor: Stacked, key: int) 
 def _led(rows: Floats, block: Ints, u: Floats, parts: int, key: Any) -> list[Floats]:
     """What moves the points in each passage, (N, n) each, such that together it moves their ends by u."""
     count, n = u.shape
-    U = np.concatenate(normals(count, n, key, parts, PARTS), axis=1)
-    spread(rows, block, u, U)
-    return [np.ascontiguousarray(U[:, k * n : (k + 1) * n]) for k in range(parts)]
+    U = np.concatenate([columns(v) for v in normals(count, n, key, parts, PARTS)])
+    spread(rows, block, columns(u), U)
+    return [U[k * n : (k + 1) * n].T for k in range(parts)]

@@ -12,6 +12,7 @@ from ..core.cloud.linearise import lower_and_rows
 from ..core.cloud.reading import Reader
 from ..core.cloud.weights import finite_rows
 from ..core.limits import DIFFERENCE
+from ..density.points import columns
 from ..model.domain import Domain
 from ..model.measurements import block as block_of
 from ..model.measurements import has_gaussian_noise, has_own_likelihood, is_gaussian
@@ -89,14 +90,15 @@ class Stacked(NamedTuple):
     def log_likelihood(self, x: Floats, h: Floats | None = None) -> Floats:
         """Log-likelihood (N,) of states, of which the readings may be known; none where one is no number."""
         if self.root is not None:
-            values, wrong = log_normals(self.z, self.predict(x) if h is None else h, self.angle, self.root)
+            h = self.predict(x) if h is None else h
+            values, wrong = log_normals(self.z, columns(h), self.angle, self.root)
             if not wrong:
                 return np.asarray(values)
         return self.log_weights(x, self.asked)
 
     def log_weights(self, x: Floats, readings: tuple[Any, ...]) -> Floats:
         """Log-likelihood (N,) of states (N, n) by some of the readings; none where a state is no number."""
-        fine, every = finite_rows(x)
+        fine, every = finite_rows(columns(x))
         X = x if every else x[fine]
         X = X if self.domain is None else self.domain.wrap(X)
         values = readings[0].log_weight(X)
@@ -110,7 +112,7 @@ class Stacked(NamedTuple):
 
     def predict(self, x: Floats) -> Floats:
         """Readings (N, k) of states, components that came; NaN where a state is no number."""
-        fine, every = finite_rows(x)
+        fine, every = finite_rows(columns(x))
         own = x if every else x[fine]
         X = own if self.domain is None else self.domain.wrap(own)
         parts = [a.measurement.predict(X, a.t) for a in self.guides]
@@ -218,10 +220,11 @@ def seen(
         for p in passages[1:]:
             flow, lower = joined(flow, lower, p.flow, p.lower)
         lower, rows = lower_and_rows(lower)
-        whole = along_rows(rows, block, np.concatenate(u, axis=1))
-    r = sensor.residual(sensor.predict(without_noise(y, x, whole, lower, flow, block)))
+        whole = along_rows(rows, block, np.concatenate([columns(v) for v in u])).T
+    begun, moved = columns(x), columns(whole)
+    r = sensor.residual(sensor.predict(without_noise(columns(y), begun, moved, lower, flow, block).T))
     about = start, flow, lower, as_compiled(sensor.jacobian(end)), sensor.covariance(end), sensor.angle
-    HL, R = linear_reading(h, x, whole, w, block, *about, wider, misses)
+    HL, R = linear_reading(columns(h), begun, moved, w, block, *about, wider, misses)
     return Seen(rows, whole, HL, r, R)
 
 

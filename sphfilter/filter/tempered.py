@@ -17,7 +17,7 @@ from ..core.cloud.move import affine
 from ..core.cloud.weights import effective, normalise, systematic
 from ..core.limits import LOOK, TINY
 from ..density.passage import normals, sub_key
-from ..density.points import Carried, Points
+from ..density.points import Carried, Points, columns
 from ..model.compile import surfacing
 
 #: Passes of N points in all, twenty times both of the guided ones; of these, such that draw from the prior,
@@ -148,11 +148,12 @@ def _ends(passages: Any, x: Floats, block: Ints, u: Any, noise: Any) -> Floats:
     """Ends (M, n) of points that start at x (M, n), moved by such noise."""
     for p, v, z in zip(passages, u, noise, strict=True):
         if p.leg is None:
-            x = affine(x, v, block, p.start, p.end, p.flow, p.lower)
+            x = affine(columns(x), columns(v), block, p.start, p.end, p.flow, p.lower).T
             continue
-        x = x.copy()
+        moving = columns(x).copy()
         with surfacing():
-            move_along(p.leg, x, v, p.rows, block, z)
+            move_along(p.leg, moving, columns(v), p.rows, block, z)
+        x = moving.T
     return x
 
 

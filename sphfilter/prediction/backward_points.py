@@ -14,6 +14,7 @@ from ..core.cloud.linearise import block_roots, centres
 from ..core.cloud.pace import Steps
 from ..core.cloud.way import blocks_of
 from ..density.passage import Transitions, along, stored_key
+from ..density.points import columns
 from ..density.quasi_random import even, systematic
 from ..model.dynamics import Dynamics
 
@@ -133,7 +134,7 @@ def _looked_at(ends: tuple[Floats, Floats, Ints], later: Said) -> tuple[tuple[Fl
     """Centres and fits of λ where blocks come, first without it and then with it; and log E exp λ (N,)."""
     end, lower, block = ends
     (N, n), noise = end.shape, _of_blocks(_squares(lower), block)
-    centre, cov, own = centres(end), _squares(block_roots(end)) + noise, rooted(noise)
+    centre, cov, own = centres(columns(end)), _squares(block_roots(columns(end))) + noise, rooted(noise)
     fits = np.empty((len(centre), 1 + n + n * n))
     fitted(later.x, later.w, later.values, centre, rooted(cov), fits)
     centre, cov = _shifted(centre, cov, own, fits)
@@ -170,7 +171,8 @@ def _led(
     ends: tuple[Floats, Floats, Ints], about: tuple[Floats, Floats], own: Ints, key: int
 ) -> tuple[Floats, Floats]:
     """Normals u (M, n) that lead points of numbers (M,); log of how much more often each is drawn so."""
-    z, told = even(len(own), ends[0].shape[1], stored_key(key, 2), 0), np.empty(len(own))
+    z = np.ascontiguousarray(even(len(own), ends[0].shape[1], stored_key(key, 2), 0))
+    told = np.empty(len(own))
     led(*ends, about, own, z, told)
     return z, told
 

@@ -32,7 +32,7 @@ from ..density.passage import (
     points_of_sample,
     stored_key,
 )
-from ..density.points import CloudState, Origin, Pace, Points, moments
+from ..density.points import CloudState, Origin, Pace, Points, columns, moments
 from ..errors import PropagationError, StoppedError
 from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.domain import Domain
@@ -113,7 +113,7 @@ def carried_cloud(
     for k, (points, many, own) in enumerate(clouds):
         begun, key = unrolled_about_mean(points, domain), stored_key(state.age, k)
         moved = moved_points(begun, model, t0, t1, own, many, key)
-        if own.number < steps.number and any_beyond(moved.x, ends[0].x):
+        if own.number < steps.number and any_beyond(columns(moved.x), columns(ends[0].x)):
             moved = moved_points(begun, model, t0, t1, steps, many, key)
         moved, gone = without_runaways(moved, domain)
         lost = gone if k == 0 else lost
@@ -180,7 +180,7 @@ def unrolled_about_mean(points: Points, domain: Domain | None) -> Points:
     if domain is None or points.path is not None or not domain.periodic.any():
         return points
     mean = domain.mean(points.x, points.w)
-    return points._replace(x=np.ascontiguousarray(mean + domain.nearest(points.x - mean)))
+    return points._replace(x=mean + domain.nearest(points.x - mean))
 
 
 def _steps(
@@ -241,7 +241,7 @@ def _enough(steps: int, most: int, span: tuple[float, float]) -> int:
 
 def without_runaways(points: Points, domain: Domain | None) -> tuple[Points, float]:
     """The points without weight where they ran away or left a bounded axis; and what that was."""
-    alive, every = near_others(points.x, AWAY)
+    alive, every = near_others(columns(points.x), AWAY)
     if every and domain is None:
         return points, 0.0
     if domain is not None:

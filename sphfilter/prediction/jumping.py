@@ -25,7 +25,7 @@ from ..core.limits import GOLDEN, TINY
 from ..density.as_cloud import cloud_of
 from ..density.modes import ModeDensities
 from ..density.passage import along, change_of, leg_of, stored_key
-from ..density.points import CloudState, Points, moments
+from ..density.points import CloudState, Points, columns, moments
 from ..errors import PropagationError
 from ..info import PredictInfo
 from ..model.compile import surfacing
@@ -238,16 +238,17 @@ class _Sources:
         if model.linear:
             flow, offset, lower = (part[None] for part in change_of(model, span[1] - span[0]))
             u = np.random.Generator(np.random.Philox(key)).standard_normal((N, n))
-            return affine(x, u, block, np.zeros((1, n)), offset, flow, lower)
+            return affine(columns(x), columns(u), block, np.zeros((1, n)), offset, flow, lower).T
         whole, stayed = self._way.span[1] - self._way.span[0], self.carried(i)
         assert stayed is not None
         part = math.ceil(stayed.steps * (span[1] - span[0]) / whole - 1e-9)
         steps = model.own_steps(*span) or part
-        leg, none = leg_of(model, *span, steps, stayed.state.pace.stiff), np.zeros((N, n))
+        leg, none = leg_of(model, *span, steps, stayed.state.pace.stiff), np.zeros((n, N))
         given = none, np.zeros((1, n, steps * model.n_noise)), block  # ends are as their noise moves them
+        moving = columns(x).copy()
         with surfacing():
-            move(leg, x, *given, np.uint64(key), 0, -(-N // LANES))
-        return x
+            move(leg, moving, *given, np.uint64(key), 0, -(-N // LANES))
+        return moving.T
 
 
 def _evenly(points: Points, count: int, key: int) -> Ints:

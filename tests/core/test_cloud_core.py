@@ -14,7 +14,7 @@ from sphfilter.core.cloud.pace import moved_twice
 from sphfilter.core.cloud.way import blocks_of
 from sphfilter.core.cloud.weights import compared, systematic
 from sphfilter.density.passage import leg_of, points_of_sample
-from sphfilter.density.points import Points
+from sphfilter.density.points import Points, columns
 from sphfilter.density.quasi_random import net
 
 WELLS = sf.SDE.from_expressions(["x", "v"], ["v", "-0.4*v - x*(-1 + 0.1*x**2)"], [["0"], ["1"]], [[1.6]])
@@ -34,12 +34,12 @@ def test_the_curve_goes_from_each_cell_to_a_neighbour(n):
 def test_points_in_order_have_near_neighbours_in_any_units():
     rng = np.random.default_rng(1)
     x, w = rng.standard_normal((4000, 3)), np.full(4000, 1 / 4000)
-    order = along_curve(x, w, *places(3))
+    order = along_curve(columns(x), w, *places(3))
     assert sorted(order) == list(range(4000))
     assert np.linalg.norm(np.diff(x[order], axis=0), axis=1).mean() < 0.45
-    np.testing.assert_array_equal(order, along_curve(x * [1e-8, 1.0, 1e9], w, *places(3)))
+    np.testing.assert_array_equal(order, along_curve(columns(x * [1e-8, 1.0, 1e9]), w, *places(3)))
     flat = x * [1.0, 0.0, 1.0]
-    assert sorted(along_curve(flat, w, *places(3))) == list(range(4000))
+    assert sorted(along_curve(columns(flat), w, *places(3))) == list(range(4000))
 
 
 def test_noise_has_a_normals_moments_up_to_the_fifth_and_streams_of_its_own():
@@ -57,7 +57,7 @@ def test_noise_has_a_normals_moments_up_to_the_fifth_and_streams_of_its_own():
 
 def test_nets_are_standard_normal_and_stay_so_when_they_are_turned():
     for count, n in ((256, 1), (1024, 3), (1000, 6)):
-        z = even_normals(net(count, n), KEY)
+        z = even_normals(net(count, n).T, KEY).T
         np.testing.assert_allclose(z.mean(axis=0), 0.0, atol=1e-12)
         np.testing.assert_allclose(z.T @ z / count, np.eye(n), atol=1e-9)
         assert stats.kstest(z[:, 0], "norm").statistic < 0.04
@@ -68,10 +68,10 @@ def test_nets_are_standard_normal_and_stay_so_when_they_are_turned():
 def moments_after(model, steps, x, t1, seed=3):
     """Mean and second moments of many points after an interval in equal steps."""
     leg, N = leg_of(model, 0.0, t1, steps), len(x)
-    x = x.copy()
+    x = columns(x).copy()
     V = np.zeros((1, model.dim, steps * model.n_noise))  # nothing is steered
     move(leg, x, np.zeros_like(x), V, np.zeros(N, np.int64), np.uint64(seed), 0, -(-N // LANES))
-    return np.concatenate([x.mean(axis=0), (x**2).mean(axis=0)])
+    return np.concatenate([x.mean(axis=1), (x**2).mean(axis=1)])
 
 
 def test_steps_beside_additive_noise_are_of_weak_order_three():
@@ -98,7 +98,7 @@ def test_steps_of_noise_that_depends_on_the_state_are_of_weak_order_two():
 
 def test_stiff_drifts_are_followed_in_parts():
     model = sf.SDE.from_expressions(["x"], ["-1e4*(x - 1)"], [["1"]], [[1e-3]])
-    x = np.linspace(-50.0, 50.0, 200)[:, None].copy()
+    x = np.linspace(-50.0, 50.0, 200)[None].copy()
     leg = leg_of(model, 0.0, 1.0, 4, stiff=True)
     V = np.zeros((1, 1, 4))
     move(leg, x, np.zeros_like(x), V, np.zeros(200, np.int64), KEY, 0, 2)
@@ -145,33 +145,33 @@ def test_what_moves_the_end_moves_it_as_linearised():
     """Of a linear flow: ends are those of the flow plus L u, and what u leaves free is small."""
     model = sf.SDE.from_expressions(["x", "v"], ["v", "-x"], [["0"], ["1"]], [[0.3]])
     N, steps = 512, 12
-    x, leg = np.tile([1.0, 0.0], (N, 1)), leg_of(model, 0.0, 1.0, steps)
+    x, leg = np.tile([[1.0], [0.0]], (1, N)), leg_of(model, 0.0, 1.0, steps)
     end = np.array([[1.0, 0.0]])
     _, B = linearise(leg, end)
     L, V = lower_and_rows(B)
-    u = np.random.default_rng(2).standard_normal((N, 2))
+    u = np.random.default_rng(2).standard_normal((2, N))
     move(leg, x, u, V, np.zeros(N, np.int64), KEY, 0, -(-N // LANES))
-    rest = x - end - u @ L[0].T
-    assert rest.std(axis=0).max() < 0.1 * L[0].diagonal().min()
+    rest = x - end.T - L[0] @ u
+    assert rest.std(axis=1).max() < 0.1 * L[0].diagonal().min()
 
 
 def test_whatever_is_steered_the_law_of_the_noise_stays():
     rows = np.linalg.qr(np.random.default_rng(1).standard_normal((8, 3)))[0].T[None]
-    U = np.random.default_rng(2).standard_normal((40_000, 8))
-    u = np.random.default_rng(3).standard_normal((40_000, 3))
+    U = np.random.default_rng(2).standard_normal((8, 40_000))
+    u = np.random.default_rng(3).standard_normal((3, 40_000))
     spread(np.ascontiguousarray(rows), np.zeros(40_000, np.int64), u, U)
-    np.testing.assert_allclose(U @ rows[0].T, u, atol=1e-12)
-    np.testing.assert_allclose(U.T @ U / 40_000, np.eye(8), atol=0.03)
+    np.testing.assert_allclose(rows[0] @ U, u, atol=1e-12)
+    np.testing.assert_allclose(U @ U.T / 40_000, np.eye(8), atol=0.03)
 
 
 def test_the_guide_is_exact_where_everything_is_linear():
     """Every weight of the second pass is the evidence of a Gaussian."""
     rng, N = np.random.default_rng(4), 256
-    m, w, u = rng.standard_normal((N, 1)), np.full(N, 1.0 / N), rng.standard_normal((N, 1))
+    m, w, u = rng.standard_normal((1, N)), np.full(N, 1.0 / N), rng.standard_normal((1, N))
     HL, R, z = np.array([[[0.8]]]), np.array([[[0.3]]]), 1.4
     block = np.zeros(N, np.int64)
-    ancestor, new, log_ratio = look_ahead(z - m, u, w, block, HL, R, net(N, 1), 7)
-    log_l = stats.norm.logpdf(z - m[ancestor] - 0.8 * new, scale=np.sqrt(0.3))[:, 0]
+    ancestor, new, log_ratio = look_ahead(z - m, u, w, block, HL, R, net(N, 1).T, 7)
+    log_l = stats.norm.logpdf(z - m[:, ancestor] - 0.8 * new, scale=np.sqrt(0.3))[0]
     log_w = log_l - log_ratio[N:]
     exact = np.log(np.mean(stats.norm.pdf(z, m, np.sqrt(0.64 + 0.3))))
     np.testing.assert_allclose(log_w, exact, atol=1e-9)
@@ -214,12 +214,12 @@ def test_what_readings_leave_keeps_its_bend_where_it_begins_again():
 
 def test_copies_of_few_points_stand_for_more_than_their_distance():
     rng = np.random.default_rng(5)
-    few = rng.standard_normal((16, 2))
+    few = rng.standard_normal((2, 16))
     lineage = np.repeat(np.arange(16), 16)
-    alone = widths(rng.standard_normal((256, 2)), np.arange(256), 1.0)
-    copies = widths(few[lineage] + 1e-6 * rng.standard_normal((256, 2)), lineage, 1.0)
-    apart = widths(few[lineage] + 5.0 * rng.standard_normal((256, 2)), lineage, 1.0)
-    wide = widths(rng.standard_normal((256, 4)), np.arange(256), 0.5)
+    alone = widths(rng.standard_normal((2, 256)), np.arange(256), 1.0)
+    copies = widths(few[:, lineage] + 1e-6 * rng.standard_normal((2, 256)), lineage, 1.0)
+    apart = widths(few[:, lineage] + 5.0 * rng.standard_normal((2, 256)), lineage, 1.0)
+    wide = widths(rng.standard_normal((4, 256)), np.arange(256), 0.5)
     np.testing.assert_allclose(wide, 64**-0.25)
     np.testing.assert_allclose(alone, 64**-0.5)
     assert np.all(copies > 0.4) and np.all(apart < 0.2)

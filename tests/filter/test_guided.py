@@ -9,7 +9,7 @@ from sphfilter.core.cloud.guide import look_ahead
 from sphfilter.core.cloud.pace import Steps
 from sphfilter.core.cloud.weights import carriers, of_variances
 from sphfilter.density.passage import moved_points, points_of_gaussian
-from sphfilter.density.points import NO_LINES, Carried, moments
+from sphfilter.density.points import NO_LINES, Carried, columns, moments
 from sphfilter.filter.guided import weighed
 from sphfilter.filter.reading_at_prior import ReadingAtPrior
 from sphfilter.filter.stacked import Stacked
@@ -222,10 +222,10 @@ def test_points_that_are_no_numbers_weigh_nothing():
 def test_a_point_without_a_guide_keeps_its_weight():
     """Where h has no value on the way without noise, nothing is proposed: the ratio is zero."""
     N, one = 64, np.ones((1, 1, 1))
-    r = np.zeros((N, 1))
-    r[5] = np.nan
-    zero, z = np.zeros(N, np.int64), np.zeros((N, 1))
-    ancestor, _, log_ratio = look_ahead(r, np.zeros((N, 1)), np.full(N, 1.0 / N), zero, one, one, z, 7)
+    r = np.zeros((1, N))
+    r[0, 5] = np.nan
+    zero, z = np.zeros(N, np.int64), np.zeros((1, N))
+    ancestor, _, log_ratio = look_ahead(r, np.zeros((1, N)), np.full(N, 1.0 / N), zero, one, one, z, 7)
     assert 5 not in ancestor
     assert log_ratio[5] == -np.inf
     assert np.isfinite(np.delete(log_ratio, 5)).all()
@@ -242,12 +242,12 @@ def test_a_key_gives_the_same_bits(sharp):
 
 
 def test_copies_carry_no_more_than_what_they_are_copies_of():
-    x = np.random.default_rng(0).standard_normal((400, 2))
+    x = np.random.default_rng(0).standard_normal((2, 400))
     log_w = np.log(np.full(400, 1.0 / 400.0))
     mean, evidence = carriers(x, log_w, np.arange(400), NO_LINES)[-2:]
     assert evidence == pytest.approx(400.0)
     assert mean == pytest.approx(400.0, rel=0.02)
-    copied = np.repeat(x[:20], 20, axis=0)
+    copied = np.repeat(x[:, :20], 20, axis=1)
     mean, evidence = carriers(copied, log_w, np.repeat(np.arange(20), 20), NO_LINES)[-2:]
     assert evidence == pytest.approx(20.0)
     assert mean == pytest.approx(20.0, rel=0.1)
@@ -263,7 +263,7 @@ def test_of_heavy_tails_few_points_know_the_variance():
         (rng.laplace(size=(20_000, 2)), 2.0 / 5.0 * 20_000.0),  # of kurtosis six
     ):
         mean, cov = moments(x, w)
-        assert of_variances(x, w, mean, cov) == pytest.approx(number, rel=0.15)
+        assert of_variances(columns(x), w, mean, cov) == pytest.approx(number, rel=0.15)
 
 
 @pytest.mark.parametrize("key", range(3))
@@ -281,9 +281,9 @@ def test_variances_that_tails_carry_are_kept_under_a_sharp_peak(key):
 
 
 def test_what_came_from_few_points_a_reading_before_is_as_wrong_as_they_are():
-    x, each = np.random.default_rng(0).standard_normal((20_000, 2)), np.arange(20_000)
+    x, each = np.random.default_rng(0).standard_normal((2, 20_000)), np.arange(20_000)
     log_w = np.log(np.full(20_000, 5e-5))
-    copied, first = np.repeat(x[:200], 100, axis=0), np.repeat(np.arange(200), 100)[None]
+    copied, first = np.repeat(x[:, :200], 100, axis=1), np.repeat(np.arange(200), 100)[None]
     _, _, lineage, *_, few, evidence = carriers(copied, log_w, each, first)
     assert np.array_equal(lineage, [each, first[0]])
     assert (few, evidence) == (pytest.approx(200.0, rel=0.02), pytest.approx(20_000.0))

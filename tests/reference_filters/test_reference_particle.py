@@ -11,7 +11,7 @@ from reference_filters._weights import ancestors, condition
 from reference_filters.kalman import KalmanFilter
 from reference_filters.particle import ParticleFilter
 from sphfilter import consistency
-from sphfilter.core.cloud.weights import weighted_moments
+from sphfilter.density.points import moments
 from sphfilter.errors import ModelError, PropagationError
 from sphfilter.model.likelihood import LikelihoodMeasurement
 from sphfilter.model.measurements import GaussianMeasurement
@@ -122,8 +122,7 @@ def test_conditioning_and_moments():
     assert log_evidence == pytest.approx(logsumexp(np.log(prior) + log_likelihood), rel=1e-13)
     np.testing.assert_allclose(w, np.exp(np.log(prior) + log_likelihood - log_evidence), rtol=1e-9)
     np.testing.assert_allclose(np.exp(log_w), w, rtol=1e-9)
-    mean, cov = np.empty(3), np.empty((3, 3))
-    weighted_moments(X, w, mean, cov)
+    mean, cov = moments(X, w)
     np.testing.assert_allclose(mean, np.average(X, axis=0, weights=w), rtol=1e-12)
     np.testing.assert_allclose(cov, np.cov(X.T, aweights=w, bias=True), rtol=1e-12)
 

@@ -45,8 +45,8 @@ def spread(step, shift, order, out):
 
 @jit
 def along_curve(x, w, table, bits):
-    """Numbers (N,) of points x (N, n), of weights w (N,), in their order on the curve, whitened."""
-    n = x.shape[1]
+    """Numbers (N,) of points x (n, N), of weights w (N,), in their order on the curve, whitened."""
+    n = len(x)
     mean, cov = np.empty(n), np.empty((n, n))
     weighted_moments(x, w, mean, cov)
     return ordered(x, mean, cov, table, bits)
@@ -58,24 +58,17 @@ def ordered(x, mean, cov, table, bits):
 
     A counting sort, byte by byte: points of one cell stay in the order in which they came.
     """
-    (N, n), top, cov, L = x.shape, 1 << bits, cov.copy(), np.empty(cov.shape)
+    (n, N), top, cov, L = x.shape, 1 << bits, cov.copy(), np.empty(cov.shape)
     for a in range(n):  # a state without spread, or none that is a number, has one cell
         cov[a, a] = cov[a, a] if TINY < cov[a, a] < np.inf else 1.0
     if not cholesky(cov, L):
         for a in range(n):
             for b in range(n):
                 L[a, b] = math.sqrt(cov[a, a]) if a == b else 0.0
-    white = invert_lower(L)
-    scale = 0.5 * top / _REACH
     place, order, other = np.empty(N, np.uint32), np.empty(N, np.int64), np.empty(N, np.int64)
+    cell = _cells(x, mean, invert_lower(L), top)
     for i in range(N):
-        cell = 0
-        for a in range(n):
-            z = 0.5 * top
-            for b in range(a + 1):
-                z += scale * white[a, b] * (x[i, b] - mean[b])
-            cell = cell * top + (int(min(max(z, 0.0), top - 1.0)) if z == z else 0)
-        place[i], order[i] = table[cell], i
+        place[i], order[i] = table[cell[i]], i
     shift = 0
     while shift < bits * n:
         ends = np.zeros(257, np.int64)
@@ -90,6 +83,25 @@ def ordered(x, mean, cov, table, bits):
         order, other = other, order
         shift += 8
     return order
+
+
+@jit
+def _cells(x, mean, white, top):
+    """Numbers (N,) of the cells, so many along each state, in which points x (n, N) lie, whitened."""
+    (n, N), scale = x.shape, 0.5 * top / _REACH
+    cell, z = np.zeros(N, np.int32), np.empty(N)
+    for a in range(n):
+        for i in range(N):
+            z[i] = 0.5 * top
+        for b in range(a + 1):
+            on, about = scale * white[a, b], mean[b]
+            for i in range(N):
+                z[i] += on * (x[b, i] - about)
+        for i in range(N):
+            own = z[i] if z[i] > 0.0 else 0.0  # also where it is no number
+            own = own if own < top - 1.0 else top - 1.0
+            cell[i] = cell[i] * np.int32(top) + np.int32(own)
+    return cell
 
 
 @jit

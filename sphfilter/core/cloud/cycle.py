@@ -64,7 +64,7 @@ _begin_at, _carry_at, _linear_at, _weigh_at, _carried_at, _chosen_at = [entry.at
 class Standing(NamedTuple):
     """A cloud and its shadow as a reading left them, and what they have told."""
 
-    x: np.ndarray  # (N, n)
+    x: np.ndarray  # (n, N)
     w: np.ndarray
     lineage: np.ndarray
     few_x: np.ndarray  # those of the shadow
@@ -110,7 +110,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
     `parts` are addresses of `PARTS`; `motion` is a model's leg, what moves points along its drift where
     that is stiff, and of a linear one, whose leg is not called, Φ (K, n, n), offset (K, n) and L (K, n, n)
     over each interval; `sensor` is a `Reader` and what it reads, (K, k); `spans` are times (K + 1,),
-    seconds, first that of the cloud, and the least steps of each interval; `nets` are normals (count, n) of
+    seconds, first that of the cloud, and the least steps of each interval; `nets` are normals (n, count) of
     the guide, the begin and the motion, of the cloud and of its shadow; `curve` is a table and its bits.
     Returns how the record ends, how many readings are done, the values of a `Standing` after the last of
     them and before it, and of each reading mean and covariance before and after it, the log-evidence and
@@ -118,7 +118,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
     or its prediction is flagged.
     """
     (leg, stiff_flow, changes), (reader, Z), (times, least) = motion, sensor, spans
-    (K, k), n, count = Z.shape, standing.x.shape[1], nets[0][0].shape[0]
+    (K, k), (n, count) = Z.shape, nets[0][0].shape
     m, P, x, C = np.empty((K, n)), np.empty((K, n, n)), np.empty((K, n)), np.empty((K, n, n))
     evidence, unsure, error, wider = np.empty(K), np.empty(K), np.empty(K), np.empty(K)
     off, S, flagged = np.empty((K, k)), np.empty((K, k, k)), np.empty(K, np.bool_)
@@ -156,7 +156,13 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         before, standing = s, Standing(a, b, c, d, e, f, count, *squares, *paced)
         done += 1
         end = JUDGE if max(error[j], told) > bounds.missed else MORE if points != count else ALL
-    return end, done, _bare(standing), _bare(before), (m, P, x, C, evidence, unsure, error, wider, off, S, flagged)
+    return (
+        end,
+        done,
+        _bare(standing),
+        _bare(before),
+        (m, P, x, C, evidence, unsure, error, wider, off, S, flagged),
+    )
 
 
 @jit
@@ -209,7 +215,7 @@ def _paced(parts, leg, stiff_flow, span, s, least, bounds, curve):
     own = over(leg, stiff_flow if stiff else leg.flow, span[0], span[1], steps)
     if lost > 2.0 * MOST_LOST or steps > bounds.most:
         return own, s.step, Bias(np.inf, np.inf)
-    step = step_after(dt, steps, over_allowed(bias, allowed, s.x.shape[1]))
+    step = step_after(dt, steps, over_allowed(bias, allowed, len(s.x)))
     return own, step, bias
 
 
@@ -228,10 +234,10 @@ def _both(about, few, s, nets, curve):
 
 @jit
 def _cycled(about, cloud, nets, keys, curve):
-    """A cloud x (N, n), w (N,) of lineages (readings, N) over an interval and a reading."""
+    """A cloud x (n, N), w (N,) of lineages (readings, N) over an interval and a reading."""
     parts, leg, change, reader = about
     first, second = nets[1], nets[2]
-    (count, n), key = first.shape, keys[0]
+    (n, count), key = first.shape, keys[0]
     begun = _begin_at(parts[0])(cloud[0], cloud[1], cloud[2], count, key, first, *curve)
     start, x, u, w, block, middle, lower, flow, older = begun
     kernel = Part(middle, middle, flow, lower, np.empty((1, 0, 0)))
@@ -267,4 +273,3 @@ def _told(s, one, two, count):
     mean, variance = smoothed(mean, apart_by(first, second, n)), smoothed(variance, most)
     evidence = square_of_more(s.log_evidence, times)
     return ahead, (mean, variance, smoothed(evidence, (one.found[3] - two.found[3]) ** 2))
-

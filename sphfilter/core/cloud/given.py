@@ -40,9 +40,9 @@ def renew(noise, fresh, chance, key):
 
 @jit
 def move_along(leg, x, u, V, block, noise):
-    """Move points x (N, n) over a leg in place, as `move` does, along noise (3, d, N) that is given."""
-    N, Z = len(x), np.zeros((3, V.shape[2], LANES))
-    room = chunk_room(x.shape[1], leg.root.shape[0])
+    """Move points x (n, N) over a leg in place, as `move` does, along noise (3, d, N) that is given."""
+    (n, N), Z = x.shape, np.zeros((3, V.shape[2], LANES))
+    room = chunk_room(n, leg.root.shape[0])
     for c in range(-(-N // LANES)):
         begin, end = c * LANES, min((c + 1) * LANES, N)
         Z[:, :, : end - begin] = noise[:, :, begin:end]

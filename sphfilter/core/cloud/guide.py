@@ -1,6 +1,6 @@
 """A reading before its time: ancestors chosen, and their noise led, as the linearised flow says.
 
-Letters: y (N, n) ends of the first pass, u (N, n) what moved them, r (N, k) residuals z - h(y - L u) of
+Letters: y (n, N) ends of the first pass, u (n, N) what moved them, r (k, N) residuals z - h(y - L u) of
 points without their noise, HL (blocks, k, n), R the covariance of the reading, with what linearity misses.
 """
 
@@ -9,12 +9,13 @@ import math
 import numpy as np
 
 from .._jit import jit
+from .._views import stretch
 from ..elementary import FAST
 from ..limits import LARGEST_EXPONENT, LOG_2_PI
-from ..small_matrices import cholesky, invert_lower, white_square, whiten
+from ..small_matrices import cholesky, invert_lower, whiten
 from .linearise import end_of_block
 from .noise import even_normals, uniform
-from .weights import summed, systematic
+from .weights import summed, systematic, taken, white_squares
 
 #: Neighbours to either side, that tell what the flow is without noise.
 NEAR = 2
@@ -22,65 +23,79 @@ NEAR = 2
 
 @jit
 def without_noise(y, x, u, L, Phi, block):
-    """Where each point (N, n) would go without the noise that moves the end, as its neighbours tell.
+    """Where each point (n, N) would go without the noise that moves the end, as its neighbours tell.
 
     What its own noise did must not tell it: the proposal's density at a point would depend on the draw that
     it is to weigh, and the evidence would be wrong however many points there are.
     """
-    N, n = y.shape
-    rest, out, first = np.empty((N, n)), np.empty((N, n)), 0
-    for i in range(N):
-        b = block[i]
-        for a in range(n):
-            out[i, a], s = 0.0, y[i, a]
-            for e in range(n):
-                flowed = Phi[b, a, e] * x[i, e]
-                out[i, a] += flowed
-                s -= L[b, a, e] * u[i, e] + flowed
-            rest[i, a] = s
+    (n, N), first = y.shape, 0
+    rest, out = np.empty(N), np.empty((n, N))
     while first < N:
-        b, end = block[first], end_of_block(block, first)
-        for i in range(first, end):
-            low, high = max(i - NEAR, first), min(i + NEAR + 1, end)
-            share = 1.0 / max(high - low - 1, 1)
-            for a in range(n):
-                s = -rest[i, a]
-                for k in range(low, high):
-                    s += rest[k, a]
-                out[i, a] += s * share
-        first = end
+        b, size = block[first], end_of_block(block, first) - first
+        for a in range(n):
+            own, end = stretch(out, a, first, size), stretch(y, a, first, size)
+            for i in range(size):
+                own[i], rest[i] = 0.0, end[i]
+            for e in range(n):
+                on, drawn = Phi[b, a, e], L[b, a, e]
+                begun, given = stretch(x, e, first, size), stretch(u, e, first, size)
+                for i in range(size):
+                    flowed = on * begun[i]
+                    own[i] += flowed
+                    rest[i] -= drawn * given[i] + flowed
+            _add_of_neighbours(rest, own)
+        first += size
     return out
 
 
 @jit
+def _add_of_neighbours(rest, out):
+    """Add to each of some numbers (K,) the mean of its neighbours' rests (K or more,)."""
+    K = out.size
+    for i in range(K):
+        low, high = max(i - NEAR, 0), min(i + NEAR + 1, K)
+        s = -rest[i]
+        for k in range(low, high):
+            s += rest[k]
+        out[i] += s * (1.0 / max(high - low - 1, 1))
+
+
+@jit
 def along_rows(V, block, U):
-    """What moves the end of each point, V u (N, n), of all that moves it, U (N, d)."""
-    N, d = U.shape
-    n = V.shape[1]
-    out = np.empty((N, n))
-    for i in range(N):
-        b = block[i]
+    """What moves the end of each point, V u (n, N), of all that moves it, U (d, N)."""
+    (d, N), n, first = U.shape, V.shape[1], 0
+    out = np.zeros((n, N))
+    while first < N:
+        b, size = block[first], end_of_block(block, first) - first
         for a in range(n):
-            s = 0.0
+            own = stretch(out, a, first, size)
             for k in range(d):
-                s += V[b, a, k] * U[i, k]
-            out[i, a] = s
+                v, given = V[b, a, k], stretch(U, k, first, size)
+                for i in range(size):
+                    own[i] += v * given[i]
+        first += size
     return out
 
 
 @jit
 def spread(V, block, u, U):
-    """Change what moves each point, U (N, d), in place, by as little as makes it u (N, n) for the end."""
-    N, d = U.shape
-    n = V.shape[1]
-    for i in range(N):
-        b = block[i]
+    """Change what moves each point, U (d, N), in place, by as little as makes it u (n, N) for the end."""
+    (d, N), n, first, missing = U.shape, V.shape[1], 0, np.empty(U.shape[1])
+    while first < N:
+        b, size = block[first], end_of_block(block, first) - first
         for a in range(n):
-            s = u[i, a]
+            wanted = stretch(u, a, first, size)
+            for i in range(size):
+                missing[i] = wanted[i]
             for k in range(d):
-                s -= V[b, a, k] * U[i, k]
+                v, own = V[b, a, k], stretch(U, k, first, size)
+                for i in range(size):
+                    missing[i] -= v * own[i]
             for k in range(d):
-                U[i, k] += V[b, a, k] * s
+                v, own = V[b, a, k], stretch(U, k, first, size)
+                for i in range(size):
+                    own[i] += v * missing[i]
+        first += size
 
 
 @jit
@@ -133,9 +148,9 @@ def linear_reading(hy, x, u, w, block, start, Phi, L, H, R, angle, wider, misses
     What linearity misses is half the mean square difference of neighbours' readings less their linear parts.
     Neighbours on the curve stand for the second derivatives of a block: what is the same for both cancels.
     The noise is `wider` times R and `misses` times what linearity misses; H and R are of one or all blocks,
-    hy (N, k) are readings of the ends, and x, u, w, block of N points, start, Phi, L of blocks are a way's.
+    hy (k, N) are readings of the ends, and x, u, w, block of N points, start, Phi, L of blocks are a way's.
     """
-    (N, k), n, nb = hy.shape, x.shape[1], start.shape[0]
+    (k, N), n, nb = hy.shape, len(x), start.shape[0]
     HL, HPhi = np.zeros((nb, k, n)), np.zeros((nb, k, n))
     for b in range(nb):
         own = b if len(H) > 1 else 0
@@ -144,26 +159,26 @@ def linear_reading(hy, x, u, w, block, start, Phi, L, H, R, angle, wider, misses
                 for c in range(n):
                     HL[b, a, c] += H[own, a, e] * L[b, e, c]
                     HPhi[b, a, c] += H[own, a, e] * Phi[b, e, c]
-    C, before, now, total = np.zeros((k, k)), np.empty(k), np.empty(k), 0.0
-    for i in range(N):
-        b, finite = block[i], True
-        follows = i > 0 and block[i - 1] == b
+    C, off, rest, total, first = np.zeros((k, k)), np.empty(k), hy.copy(), 0.0, 0
+    while first < N:
+        b, end = block[first], end_of_block(block, first)
         for a in range(k):
-            s = hy[i, a]
+            own = stretch(rest, a, first, end - first)
             for e in range(n):
-                s -= HL[b, a, e] * u[i, e] + HPhi[b, a, e] * (x[i, e] - start[b, e])
-            now[a] = s
-            d = s - before[a]
-            before[a] = wrapped(d, angle[a] and follows)
-            finite &= abs(before[a]) < np.inf
-        if follows and finite:
-            v = 0.5 * (w[i] + w[i - 1])
-            total += v
+                on, drawn, about = HPhi[b, a, e], HL[b, a, e], start[b, e]
+                begun, given = stretch(x, e, first, own.size), stretch(u, e, first, own.size)
+                for i in range(own.size):
+                    own[i] -= drawn * given[i] + on * (begun[i] - about)
+        for i in range(first + 1, end):
+            finite, v = True, 0.5 * (w[i] + w[i - 1])
             for a in range(k):
+                off[a] = wrapped(rest[a, i] - rest[a, i - 1], angle[a])
+                finite &= abs(off[a]) < np.inf
+            total += v if finite else 0.0
+            for a in range(k if finite else 0):
                 for e in range(k):
-                    C[a, e] += 0.5 * v * before[a] * before[e]
-        for a in range(k):
-            before[a] = now[a]
+                    C[a, e] += 0.5 * v * off[a] * off[e]
+        first = end
     noise = np.empty((nb, k, k))
     for b in range(nb):
         own = b if len(R) > 1 else 0
@@ -175,15 +190,25 @@ def linear_reading(hy, x, u, w, block, start, Phi, L, H, R, angle, wider, misses
 
 @jit
 def log_normals(z, h, angle, F):
-    """Logarithms (N,) of N(z; h, F Fᵀ) at readings h (N, k), angles wrapped; and how many are NaN."""
-    N, k = h.shape
-    out, r, wrong, peak, white = np.empty(N), np.empty(k), 0, _log_peak(F), invert_lower(F)
+    """Logarithms (N,) of N(z; h, F Fᵀ) at readings h (k, N), angles wrapped; and how many are NaN."""
+    (k, N), wrong, peak, out = h.shape, 0, _log_peak(F), np.empty(h.shape[1])
+    white_squares(invert_lower(F), residuals(z, h, angle), np.zeros(k), 0, out)
     for i in range(N):
-        for a in range(k):
-            r[a] = wrapped(z[a] - h[i, a], angle[a])
-        out[i] = peak - 0.5 * white_square(white, r)
+        out[i] = peak - 0.5 * out[i]
         wrong += out[i] != out[i]
     return out, wrong
+
+
+@jit
+def residuals(z, h, angle):
+    """What was read, z (k,), less readings h (k, N), angles wrapped."""
+    r = np.empty(h.shape)
+    for a in range(z.size):
+        for i in range(h.shape[1]):
+            r[a, i] = z[a] - h[a, i]
+        for i in range(h.shape[1] if angle[a] else 0):
+            r[a, i] = wrapped(r[a, i], True)
+    return r
 
 
 @jit
@@ -232,21 +257,21 @@ def look_ahead(r, u, w, block, HL, R, net, key):
 
     Parameters
     ----------
-    r, u, w, block : ndarray, shapes (N, k), (N, n), (N,), (N,)
+    r, u, w, block : ndarray, shapes (k, N), (n, N), (N,), (N,)
     HL, R : ndarray, shapes (blocks, k, n), (blocks, k, k)
-    net : ndarray, shape (count, n)
+    net : ndarray, shape (n, count)
         Standard normals that are even along the curve, and are turned and shifted by the key.
     key : int
 
     Returns
     -------
-    ancestor, new : ndarray, shapes (count,), (count, n)
+    ancestor, new : ndarray, shapes (count,), (n, count)
         Numbers of points, in order, and their u; none where no block can be guided.
     log_ratio : ndarray, shape (N + count,)
         Logarithm of the proposal's density of (point, u) over the prior's: of the N of the first pass, then
         of the new ones.
     """
-    (N, k), (count, n), blocks = r.shape, net.shape, HL.shape[0]
+    (k, N), (n, count), blocks = r.shape, net.shape, HL.shape[0]
     z, cut = even_normals(net, key), uniform(key, np.uint64(0))
     K, T, S, L = np.zeros((blocks, n, k)), np.zeros((blocks, n, n)), np.empty((k, k)), np.empty((k, k))
     of_S, of_R, fine = np.zeros((blocks, k, k)), np.zeros((blocks, k, k)), np.zeros(blocks, np.bool_)
@@ -257,24 +282,29 @@ def look_ahead(r, u, w, block, HL, R, net, key):
         fine[b] = fine[b] and cholesky(R[b], L)
         peak_R[b] = _inverse(L, of_R[b])
     a, top = _ahead(r, w, block, of_S, peak_S, fine)
-    log_ratio, new = np.empty(N + count), np.empty((count, n))
+    log_ratio, new = np.empty(N + count), np.zeros((n, count))
     if top == -np.inf:
         return np.empty(0, np.int64), new, log_ratio
     for i in range(N):
         a[i] = FAST.exp(a[i] - top)
     total = summed(a)
     ancestor, known = systematic(a, count, cut), top + math.log(total)
-    for j in range(count):
-        i, b = ancestor[j], block[ancestor[j]]
+    _ratios(r, u, block, HL, of_R, peak_R, fine, known, log_ratio[:N])
+    r, block, first = taken(r, ancestor), block[ancestor], 0
+    while first < count:
+        b, size = block[first], end_of_block(block, first) - first
         for c in range(n):
-            s = 0.0
+            own = stretch(new, c, first, size)
             for e in range(k):
-                s += K[b, c, e] * r[i, e]
+                on, off = K[b, c, e], stretch(r, e, first, size)
+                for i in range(size):
+                    own[i] += on * off[i]
             for e in range(c + 1):
-                s += T[b, c, e] * z[j, e]
-            new[j, c] = s
-    _ratios(r, u, block, np.arange(N), HL, of_R, peak_R, fine, known, log_ratio[:N])
-    _ratios(r, new, block, ancestor, HL, of_R, peak_R, fine, known, log_ratio[N:])
+                on, given = T[b, c, e], stretch(z, e, first, size)
+                for i in range(size):
+                    own[i] += on * given[i]
+        first += size
+    _ratios(r, new, block, HL, of_R, peak_R, fine, known, log_ratio[N:])
     return ancestor, new, log_ratio
 
 
@@ -290,39 +320,41 @@ def _inverse(F, out):
 
 @jit
 def _ahead(r, w, block, white, peak, fine):
-    """Logarithms (N,) of weights w times what a guide says of residuals r (N, k); and their largest."""
-    N, top, before, log_w, last = w.size, -np.inf, 0.0, 0.0, -1
-    a, W = np.empty(N), white[0]
-    for i in range(N):
-        b = block[i]
-        if b != last:
-            last, W = b, white[b]
-        a[i] = -np.inf
-        if fine[b] and w[i] > 0.0:
-            if w[i] != before:  # most are the same
-                before, log_w = w[i], math.log(w[i])
-            s = peak[b] - 0.5 * white_square(W, r[i]) + log_w
-            a[i] = s if abs(s) < np.inf else -np.inf
-            top = max(top, a[i])
+    """Logarithms (N,) of weights w times what a guide says of residuals r (k, N); and their largest."""
+    N, top, before, log_w, first = w.size, -np.inf, 0.0, 0.0, 0
+    a, zero = np.full(N, -np.inf), np.zeros(len(r))
+    while first < N:
+        b, end = block[first], end_of_block(block, first)
+        if fine[b]:
+            own = a[first:end]
+            white_squares(white[b], r, zero, first, own)
+            for i in range(own.size):
+                heavy = w[first + i]
+                if heavy != before and heavy > 0.0:  # most are the same
+                    before, log_w = heavy, math.log(heavy)
+                s = peak[b] - 0.5 * own[i] + log_w
+                own[i] = s if heavy > 0.0 and abs(s) < np.inf else -np.inf
+                top = max(top, own[i])
+        first = end
     return a, top
 
 
 @jit
-def _ratios(r, u, block, ancestor, HL, white, peak, fine, known, out):
-    """Fill logarithms (M,) of the proposal's density over the prior's, of points by number and their u."""
-    (M, n), k, last = u.shape, r.shape[1], -1
-    own, W, H = np.empty(k), white[0], HL[0]
-    for j in range(M):
-        i, b = ancestor[j], block[ancestor[j]]
-        if b != last:
-            last, W, H = b, white[b], HL[b]
-        out[j] = -np.inf
-        if fine[b]:
-            for c in range(k):
-                s = r[i, c]
-                for e in range(n):
-                    s -= H[c, e] * u[j, e]
-                own[c] = s
-            s = peak[b] - 0.5 * white_square(W, own) - known
-            if abs(s) < np.inf:  # else it was never proposed: h has no value where the guide looked
-                out[j] = s
+def _ratios(r, u, block, HL, white, peak, fine, known, out):
+    """Fill logarithms (M,) of the proposal's density over the prior's, of points of r (k, M) and u (n, M)."""
+    (n, M), (k, _), first, rest = u.shape, r.shape, 0, r.copy()
+    zero = np.zeros(k)
+    while first < M:
+        b, end = block[first], end_of_block(block, first)
+        own = out[first:end]
+        for c in range(k):
+            left = stretch(rest, c, first, own.size)
+            for e in range(n):
+                on, given = HL[b, c, e], stretch(u, e, first, own.size)
+                for i in range(own.size):
+                    left[i] -= on * given[i]
+        white_squares(white[b], rest, zero, first, own)
+        for i in range(own.size):  # else it was never proposed: h has no value where the guide looked
+            s = peak[b] - 0.5 * own[i] - known
+            own[i] = s if fine[b] and abs(s) < np.inf else -np.inf
+        first = end

@@ -11,7 +11,7 @@ from numba import types
 
 from .._addresses import Entry, function_at
 from .._jit import MATRIX, jit
-from .._views import rows_at
+from .._views import rows_at, stretch
 from ..limits import LOOK, ROUNDING
 from ..small_matrices import product
 from .noise import OF_STATE
@@ -37,8 +37,8 @@ def end_of_block(block, first):
 
 @jit
 def centres(x):
-    """Means (blocks, n) of blocks of consecutive points of x (N, n)."""
-    N, n = x.shape
+    """Means (blocks, n) of blocks of consecutive points of x (n, N)."""
+    n, N = x.shape
     size = block_size(N)
     c = np.empty((-(-N // size), n))
     for b in range(c.shape[0]):
@@ -46,15 +46,15 @@ def centres(x):
         for a in range(n):
             s = 0.0
             for i in range(first, last):
-                s += x[i, a]
+                s += x[a, i]
             c[b, a] = s / (last - first)
     return c
 
 
 @jit
 def block_roots(x):
-    """Lower roots (blocks, n, n) of the covariances of blocks of consecutive points of x (N, n)."""
-    N, n = x.shape
+    """Lower roots (blocks, n, n) of the covariances of blocks of consecutive points of x (n, N)."""
+    n, N = x.shape
     size, c = block_size(N), centres(x)
     L, S = np.zeros((c.shape[0], n, n)), np.empty((n, n))
     for b in range(c.shape[0]):
@@ -63,7 +63,7 @@ def block_roots(x):
             for e in range(a + 1):
                 s = 0.0
                 for i in range(first, last):
-                    s += (x[i, a] - c[b, a]) * (x[i, e] - c[b, e])
+                    s += (x[a, i] - c[b, a]) * (x[e, i] - c[b, e])
                 S[a, e] = S[e, a] = s / (last - first)
         for a in range(n):
             for e in range(a + 1):
@@ -79,12 +79,12 @@ def block_roots(x):
 
 @jit
 def widths(x, lineage, power):
-    """Widths (blocks,) of what points x (N, n) stand for, over the standard deviation of their block.
+    """Widths (blocks,) of what points x (n, N) stand for, over the standard deviation of their block.
 
     Points of one `lineage` (N,) that have not moved apart count as one. Squares of K are K^-power: with 2 / n
     as far as they are apart; with 1 they smooth a density by no more than K draws miss it.
     """
-    N, n = x.shape
+    n, N = x.shape
     size, count = block_size(N), lineage.max() + 1
     out, sums, members = np.empty(-(-N // size)), np.empty((count, n)), np.zeros(count, np.int64)
     mean, square, own = np.empty(n), np.empty(n), np.empty(size, np.int64)
@@ -102,9 +102,9 @@ def widths(x, lineage, power):
                     sums[k, a] = 0.0
             members[k] += 1
             for a in range(n):
-                sums[k, a] += x[i, a]
-                mean[a] += x[i, a] / K
-                square[a] += x[i, a] * x[i, a] / K
+                sums[k, a] += x[a, i]
+                mean[a] += x[a, i] / K
+                square[a] += x[a, i] * x[a, i] / K
         ratio = 0.0
         for a in range(n):
             variance, between = square[a] - mean[a] * mean[a], -mean[a] * mean[a]
@@ -123,13 +123,15 @@ def widths(x, lineage, power):
 
 @jit
 def shrunk(x, c, part):
-    """Points of x (N, n) drawn to the centres c (blocks, n) of their blocks, to a part (blocks,)."""
-    N, n = x.shape
-    size, y = block_size(N), np.empty((N, n))
+    """Points of x (n, N) drawn to the centres c (blocks, n) of their blocks, to a part (blocks,)."""
+    n, N = x.shape
+    size, y = block_size(N), np.empty((n, N))
     for b in range(len(c)):
-        for i in range(b * size, min((b + 1) * size, N)):
-            for a in range(n):
-                y[i, a] = c[b, a] + part[b] * (x[i, a] - c[b, a])
+        K = min(size, N - b * size)
+        for a in range(n):
+            own, drawn, about = stretch(x, a, b * size, K), stretch(y, a, b * size, K), c[b, a]
+            for i in range(K):
+                drawn[i] = about + part[b] * (own[i] - about)
     return y
 
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from .._jit import jit
+from .._views import stretch
 
 #: Points that are moved together: of four states, 8 numbers each in a step, they fill the first-level cache,
 #: 128 * 4 * 8 * 8 bytes = 32 KB.
@@ -119,17 +120,17 @@ def uniform(key, word):
 
 @jit
 def even_normals(z, key):
-    """The points of a net z (N, n), turned and shifted cyclically by a key."""
-    N, n = z.shape
+    """The points of a net z (n, N), turned and shifted cyclically by a key."""
+    n, N = z.shape
     turn, shift = rotation(key, n), int(uniform(key, np.uint64(2**40)) * N)
-    out = np.zeros((N, n))
+    out = np.zeros((n, N))
     for a in range(n):
         for e in range(n):
             part = turn[a, e]
-            for i in range(N - shift):
-                out[i, a] += part * z[i + shift, e]
-            for i in range(N - shift, N):
-                out[i, a] += part * z[i + shift - N, e]
+            for at, begin, size in ((0, shift, N - shift), (N - shift, 0, shift)):
+                own, given = stretch(out, a, at, size), stretch(z, e, begin, size)
+                for i in range(size):
+                    own[i] += part * given[i]
     return out
 
 

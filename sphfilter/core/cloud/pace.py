@@ -14,7 +14,7 @@ from .curve import along_curve
 from .noise import LANES, OF_STATE, fill_noise, mixed
 from .steps import Leg, new_room, walk
 from .way import PILOT
-from .weights import AWAY, finite_rows, systematic
+from .weights import AWAY, finite_rows, systematic, taken, turned
 
 #: Groups of the points that tell the bias of steps; where what they show may be chance, more are asked, up to
 #: N / 8 (as many as a shadow has), as long as that costs less than the steps that chance would ask for.
@@ -64,7 +64,7 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
     part whatever their steps, and means are apart by chance: those that have parted forget their bias, and it
     is looked at over the first part of the interval, in which they do not.
 
-    The span is begin and end, seconds; points x (N, n) have weights w (N,). It begins with a `number` of
+    The span is begin and end, seconds; points x (n, N) have weights w (N,). It begins with a `number` of
     steps that may be `stiff`, moved by `stiff_flow`; there are `least` and `most`, and more than these where
     that is not enough. Returns number and `stiff` as of `Steps`, their `Bias`, and the part of the points
     that the model carries to infinity.
@@ -85,12 +85,13 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
 def tried(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, most, allowed):
     """The result of `chosen` over one span, and whether no steps do because paths part."""
     every, x, before, again, astray = x, few(x, w, LOOK, table, bits), np.inf, False, False
-    far, best, n = farthest(every, w), number, x.shape[1]
+    far, best, n = farthest(every, w), number, len(every)
+    ends = turned(taken(every, far))
     number, own = max(least, number), mixed(np.uint64(key), np.uint64(PILOT))
     while number <= most:
         flow = stiff_flow if stiff else leg.flow
         steps, half = over(leg, flow, *span, number), over(leg, flow, *span, 2 * number)
-        coarse, fine = moved_twice(steps, half, np.concatenate((x, every[far])), own)
+        coarse, fine = moved_twice(steps, half, np.concatenate((x, ends)), own)
         alone = 0.0 if stiff else thrown(coarse, fine, w[far])
         coarse, fine = coarse[: len(x)], fine[: len(x)]
         apart, chance = parted(coarse, fine, _GROUPS)
@@ -98,7 +99,7 @@ def tried(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, m
         bias = Bias(_BEYOND * apart, _BEYOND * math.hypot(math.sqrt(2.0) * apart, wide))
         too_much = over_allowed(bias, allowed, n)
         more = math.ceil(number * min(max(too_much ** (1.0 / STEPS_ORDER), 1.2), MORE))
-        if too_much > 1.0 and _may_be_chance(len(x), len(every), number, more, apart, chance, allowed):
+        if too_much > 1.0 and _may_be_chance(len(x), w.size, number, more, apart, chance, allowed):
             x, before, again = few(every, w, 4 * len(x), table, bits), np.inf, False  # a new look
             continue
         if not too_much > 1.0 and alone > allowed:
@@ -110,7 +111,7 @@ def tried(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, m
         helped = too_much < (HELPED if stiff else 1.0) * before or (stiff and wide > WRONG)
         in_vain = again and not helped and number >= 2 * best  # not even twice the steps help
         if not too_much > 1.0 or (stiff and (2 * number > most or in_vain)):
-            return number, stiff, bias, 1.0 - finite_rows(fine)[0].mean(), astray
+            return number, stiff, bias, 1.0 - finite_rows(turned(fine))[0].mean(), astray
         if in_vain:
             number, stiff, before, again = max(least, FIRST_TRIED), True, np.inf, False
             continue
@@ -132,23 +133,23 @@ def _may_be_chance(looked, every, number, more, apart, chance, allowed):
 
 @jit
 def few(x, w, count, table, bits):
-    """A number of points of x (N, n) with weights w (N,), in order along the curve."""
-    x = x[systematic(w, count, 0.5)]
-    return x[along_curve(x, np.full(count, 1.0 / count), table, bits)]
+    """Rows (count, n) of points of x (n, N) with weights w (N,), in order along the curve."""
+    x = taken(x, systematic(w, count, 0.5))
+    return turned(taken(x, along_curve(x, np.full(count, 1.0 / count), table, bits)))
 
 
 @jit
 def farthest(x, w):
-    """Numbers (2 n,) of the least and the greatest of points x (N, n), with weights w (N,), in each state."""
-    N, n = x.shape
+    """Numbers (2 n,) of the least and the greatest of points x (n, N), with weights w (N,), in each state."""
+    n, N = x.shape
     far = np.full(2 * n, np.argmax(w))
-    for i in range(N):
-        if w[i] > 0.0:
-            for a in range(n):
-                if x[i, a] < x[far[2 * a], a]:
-                    far[2 * a] = i
-                if x[i, a] > x[far[2 * a + 1], a]:
-                    far[2 * a + 1] = i
+    for a in range(n):
+        low = high = x[a, far[2 * a]]
+        for i in range(N):
+            if w[i] > 0.0 and x[a, i] < low:
+                low, far[2 * a] = x[a, i], i
+            elif w[i] > 0.0 and x[a, i] > high:
+                high, far[2 * a + 1] = x[a, i], i
     return far
 
 

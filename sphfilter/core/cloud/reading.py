@@ -20,6 +20,7 @@ from .guide import (
     log_normals,
     look_ahead,
     over_both,
+    residuals,
     spread,
     without_noise,
     wrapped,
@@ -28,7 +29,15 @@ from .linearise import lower_and_rows
 from .move import affine, move_at
 from .noise import LANES, even_normals, mixed, stored
 from .way import AGAIN
-from .weights import effective, finite_rows, normalise, prior_times, weighted_moments
+from .weights import (
+    effective,
+    finite_rows,
+    normalise,
+    prior_times,
+    taken,
+    turned,
+    weighted_moments,
+)
 
 #: Times the reading's own noise that the guide sees: 1.2 has heavy weights on two wells, 2 is as good.
 WIDER = 1.5
@@ -69,18 +78,18 @@ class Part(NamedTuple):
 
 @jit
 def _read(reader, x):
-    """Readings (N, k) of states (N, n)."""
-    (N, n), k = x.shape, reader.z.size
-    out = np.empty((N, k))
+    """Readings (k, N) of states (n, N)."""
+    (n, N), k = x.shape, reader.z.size
     if reader.h != NOWHERE_AT:
-        function_at(reader.h)(x, reader.t, reader.p, out)
-        return out
-    for i in range(N):
-        for a in range(k):
-            s = 0.0
-            for e in range(n):
-                s += reader.H[a, e] * x[i, e]
-            out[i, a] = s
+        rows = np.empty((N, k))
+        function_at(reader.h)(turned(x), reader.t, reader.p, rows)
+        return turned(rows)
+    out = np.zeros((k, N))
+    for a in range(k):
+        for e in range(n):
+            on = reader.H[a, e]
+            for i in range(N):
+                out[a, i] += on * x[e, i]
     return out
 
 
@@ -88,14 +97,12 @@ def _read(reader, x):
 def foreseen(reader, x, w, mean, cov):
     """Innovation (k,) of a reading, and its covariance (k, k).
 
-    Of points x (N, n) of weights w (N,), a mean and a covariance. Angles are averaged around the reading of
+    Of points x (n, N) of weights w (N,), a mean and a covariance. Angles are averaged around the reading of
     the mean.
     """
-    k, n, X = reader.z.size, mean.size, np.empty((1, mean.size))
+    k, n = reader.z.size, mean.size
     off, S, HP = np.zeros(k), np.empty((k, k)), np.empty((k, n))
-    for a in range(n):
-        X[0, a] = mean[a]
-    expected = _read(reader, X)
+    expected = _read(reader, mean.copy().reshape((n, 1)))
     if reader.h == NOWHERE_AT and not reader.angle.any():
         for a in range(k):
             for e in range(n):
@@ -104,12 +111,12 @@ def foreseen(reader, x, w, mean, cov):
                 S[a, b] = _along(HP, a, reader.H, b)
     else:
         h = _read(reader, x)
-        for i in range(len(x)):
-            for a in range(k):
-                h[i, a] = wrapped(h[i, a] - expected[0, a], reader.angle[a])
+        for a in range(k):
+            for i in range(w.size):
+                h[a, i] = wrapped(h[a, i] - expected[a, 0], reader.angle[a])
         weighted_moments(h, w, off, S)
     for a in range(k):
-        off[a] = wrapped(reader.z[a] - (expected[0, a] + off[a]), reader.angle[a])
+        off[a] = wrapped(reader.z[a] - (expected[a, 0] + off[a]), reader.angle[a])
         for b in range(k):
             S[a, b] += reader.R[a, b]
     return off, S
@@ -130,33 +137,21 @@ def _slopes(reader, c):
     (nb, n), k = c.shape, reader.z.size
     if reader.h == NOWHERE_AT:
         return reader.H.copy().reshape((1, k, n))
-    x, J = np.empty((nb * 2 * n, n)), np.empty((nb, k, n))
-    for i in range(len(x)):
-        for e in range(n):
-            x[i, e] = c[i // (2 * n), e]
-    for b in range(nb):
-        for e in range(n):
+    x, J = np.empty((n, nb * 2 * n)), np.empty((nb, k, n))
+    for e in range(n):
+        for i in range(x.shape[1]):
+            x[e, i] = c[i // (2 * n), e]
+        for b in range(nb):
             step = DIFFERENCE * max(1.0, abs(c[b, e]))
-            x[2 * (b * n + e), e] += step
-            x[2 * (b * n + e) + 1, e] -= step
+            x[e, 2 * (b * n + e)] += step
+            x[e, 2 * (b * n + e) + 1] -= step
     h = _read(reader, x)
     for b in range(nb):
         for e in range(n):
             i, step = 2 * (b * n + e), DIFFERENCE * max(1.0, abs(c[b, e]))
             for a in range(k):
-                J[b, a, e] = wrapped(h[i, a] - h[i + 1, a], reader.angle[a]) / (2.0 * step)
+                J[b, a, e] = wrapped(h[a, i] - h[a, i + 1], reader.angle[a]) / (2.0 * step)
     return J
-
-
-@jit
-def _beside(u, v):
-    """Numbers u and v (N, n) side by side, (N, 2n)."""
-    (N, n) = u.shape
-    U = np.empty((N, 2 * n))
-    for i in range(N):
-        for a in range(n):
-            U[i, a], U[i, n + a] = u[i, a], v[i, a]
-    return U
 
 
 @jit
@@ -168,24 +163,24 @@ def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, net
     reader : Reader
     leg, linear, passage : Leg, bool, int
         The prediction, whether its change is linear, and its key.
-    x, y, w, block : ndarray, shapes (N, n), (N, n), (N,), (N,)
+    x, y, w, block : ndarray, shapes (n, N), (n, N), (N,), (N,)
         Where points began, where they are, their weights and blocks.
     kernel, moved : Part
         The noise that begins the way, and the prediction.
-    u, v : ndarray, shape (N, n)
+    u, v : ndarray, shape (n, N)
         What moved the points in each.
-    nets : tuple of ndarray, shape (N, n)
+    nets : tuple of ndarray, shape (n, N)
         Standard normals of the guide and of both passages.
     key : int
 
     Returns
     -------
-    x, log_w, lineage : ndarray, shapes (M, n), (M,), (M,)
+    x, log_w, lineage : ndarray, shapes (n, M), (M,), (M,)
         States, logarithms of weights whose sum is the evidence, and ancestors.
     wrong : int
         How many likelihoods are no number: then the rest is of no worth.
     """
-    N, n = x.shape
+    n, N = x.shape
     own = mixed(np.uint64(key), np.uint64(GUIDE))
     h = _read(reader, y)
     log_l, wrong = log_normals(reader.z, h, reader.angle, reader.root)
@@ -195,12 +190,8 @@ def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, net
         return y, log_w, alone, wrong
     flow, G = joined(kernel.flow, kernel.lower, moved.flow, moved.lower)
     lower, rows = lower_and_rows(G)
-    U = _beside(u, v)
-    whole = along_rows(rows, block, U)
-    r = _read(reader, without_noise(y, x, whole, lower, flow, block))
-    for i in range(N):
-        for a in range(reader.z.size):
-            r[i, a] = wrapped(reader.z[a] - r[i, a], reader.angle[a])
+    whole = along_rows(rows, block, np.concatenate((u, v)))
+    r = residuals(reader.z, _read(reader, without_noise(y, x, whole, lower, flow, block)), reader.angle)
     H, R = _slopes(reader, moved.end), reader.R.copy().reshape((1, reader.z.size, reader.z.size))
     HL, R = linear_reading(
         h, x, whole, w, block, kernel.start, flow, lower, H, R, reader.angle, WIDER, WIDER * OWN
@@ -208,14 +199,12 @@ def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, net
     ancestor, new, log_ratio = look_ahead(r, whole, w, block, HL, R, nets[0], own)
     if ancestor.size == 0:
         return y, log_w, alone, wrong
-    end, block = x[ancestor], block[ancestor]
+    end, block = taken(x, ancestor), block[ancestor]
     u = even_normals(nets[1], np.uint64(stored(own, PARTS)))
     v = even_normals(nets[2], np.uint64(stored(own, PARTS + 1)))
-    U = _beside(u, v)
+    U = np.concatenate((u, v))
     spread(rows, block, new, U)
-    for i in range(N):
-        for a in range(n):
-            u[i, a], v[i, a] = U[i, a], U[i, n + a]
+    u, v = U[:n], U[n:]
     end = affine(end, u, block, kernel.start, kernel.end, kernel.flow, kernel.lower)
     if linear:
         end = affine(end, v, block, moved.start, moved.end, moved.flow, moved.lower)
@@ -223,11 +212,11 @@ def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, net
         again = mixed(np.uint64(passage), np.uint64(AGAIN))
         move_at(leg.move)(leg, end, v, moved.rows, block, again, 0, -(-N // LANES))
     fine, every = finite_rows(end)
-    for i in range(0 if every else N):  # h is asked where the state is a number
-        for a in range(n):
-            end[i, a] = end[i, a] if fine[i] else y[0, a]
+    for a in range(0 if every else n):  # h is asked where the state is a number
+        for i in range(N):
+            end[a, i] = end[a, i] if fine[i] else y[a, 0]
     more, wrong = log_normals(reader.z, _read(reader, end), reader.angle, reader.root)
     for i in range(0 if every else N):
         more[i] = more[i] if fine[i] else -np.inf
     both = over_both(np.concatenate((log_l, more)), log_ratio, w)
-    return np.concatenate((y, end)), both, np.concatenate((alone, ancestor)), wrong
+    return np.concatenate((y, end), axis=1), both, np.concatenate((alone, ancestor)), wrong

@@ -15,7 +15,7 @@ from .linearise import (
 )
 from .move import affine, move_at
 from .noise import LANES, even_normals, mixed, stored, uniform
-from .weights import effective, for_moments, of_points, weighted_moments
+from .weights import effective, for_moments, of_points, taken, weighted_moments
 
 # what numbers of a key are for
 _CUT, FIRST, AGAIN, PILOT, KERNEL = range(5)
@@ -43,21 +43,21 @@ def begin(x, w, lineage, count, key, net, table, bits):
     Copies of a point part by its Gaussian, whatever the noise of the model. Blocks keep their mean and
     covariance.
 
-    Points x (N, n) of weights w (N,), of whose `lineage` (readings, N) those of a number come from one
-    point of before (without any, each is its own, not yet smoothed), become `count`, by a net (count, n) of
-    standard normals; table and bits are the curve's. Returns start, y, u (count, n): middles of the
+    Points x (n, N) of weights w (N,), of whose `lineage` (readings, N) those of a number come from one
+    point of before (without any, each is its own, not yet smoothed), become `count`, by a net (n, count) of
+    standard normals; table and bits are the curve's. Returns start, y, u (n, count): middles of the
     Gaussians, points in them, and what moved each; w and block (count,); middle (blocks, n) and lower
     (blocks, n, n): centres, and roots of the Gaussians' covariances; and the lineages of the points, older
     (readings, count).
     """
-    N, n = x.shape
+    n, N = x.shape
     mean, cov = np.empty(n), np.empty((n, n))
     weighted_moments(x, w, mean, cov)
     order = ordered(x, mean, cov, table, bits)
-    x, w = x[order], w[order]
+    x, w = taken(x, order), w[order]
     if count != N or effective(w) < _FEW * count:
         chosen, w = for_moments(x, w, mean, cov, count, uniform(np.uint64(key), np.uint64(_CUT)))
-        order, x = order[chosen], x[chosen]
+        order, x = order[chosen], taken(x, chosen)
     # what a reading has left is smoothed each time; a density that becomes points is smoothed once
     known, power = (lineage[0][order], max(2.0 / n, 1.0)) if lineage.size > 0 else (order, 2.0 / n)
     part = widths(x, known, power)
@@ -76,11 +76,11 @@ def begin(x, w, lineage, count, key, net, table, bits):
 
 @jit
 def carry(leg, x, block, net, key):
-    """Carry points x (N, n) over a leg, with their ends moved by the normals of a net (N, n).
+    """Carry points x (n, N) over a leg, with their ends moved by the normals of a net (n, N).
 
     Returns
     -------
-    y, u : ndarray, shape (N, n)
+    y, u : ndarray, shape (n, N)
         Ends, and what moved them.
     start, end : ndarray, shape (blocks, n)
         Centres of the blocks, and where they come without noise.
@@ -92,13 +92,14 @@ def carry(leg, x, block, net, key):
     flow, B = linearise_at(leg.linearise)(leg, end)
     lower, rows = lower_and_rows(B)
     u, y = even_normals(net, np.uint64(key)), x.copy()
-    move_at(leg.move)(leg, y, u, rows, block, mixed(np.uint64(key), np.uint64(FIRST)), 0, -(-len(x) // LANES))
+    own, last = mixed(np.uint64(key), np.uint64(FIRST)), -(-x.shape[1] // LANES)
+    move_at(leg.move)(leg, y, u, rows, block, own, 0, last)
     return y, u, start, end, flow, lower, rows
 
 
 @jit
 def carry_linear(change, x, block, net, key):
-    """Carry points x (N, n) over a linear change Φ x + offset + L u, as `carry` does over a leg."""
+    """Carry points x (n, N) over a linear change Φ x + offset + L u, as `carry` does over a leg."""
     start = centres(x)
     end, flow, lower = everywhere(change, start)
     u = even_normals(net, np.uint64(key))

@@ -6,47 +6,64 @@ import numpy as np
 from numba import njit
 
 from .._jit import jit
-from .._views import rows_at
+from .._views import stretch
 from ..elementary import FAST
 from ..limits import LITTLE, LOOK, ROUNDING
-from ..small_matrices import cholesky, invert_lower, white_square, whiten
+from ..small_matrices import cholesky, invert_lower, whiten
 from .noise import LANES
 
-#: Numbers from one row of a chunk's points to the next: 8 * 8 bytes = 1 line off what would share its place.
-_ROW = LANES + 8
 AWAY = 1.0 / ROUNDING  # extents, from which a point has run away: AWAY² = 1 / eps leaves others no digit
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz", "contract"})
 def weighted_moments(X, w, mean, cov):
-    """Fill mean (n,) and covariance (n, n) of states X (N, n) with weights w (N,) that sum to one.
+    """Fill mean (n,) and covariance (n, n) of states X (n, N) with weights w (N,) that sum to one.
 
-    Sums may be taken in any order, as vector instructions want it: of rows of a state's numbers, a few at a
-    time, which fit the first-level cache.
+    Sums may be taken in any order, as vector instructions want it, a few states at a time, which fit the
+    first-level cache.
     """
-    (N, n), room = X.shape, np.empty(2 * X.shape[1] * _ROW)
+    (n, N), heavy = X.shape, np.empty(LANES)
     for a in range(n):
         s = 0.0
         for i in range(N):
-            s += w[i] * X[i, a]
+            s += w[i] * X[a, i]
         mean[a] = s
         for b in range(n):
             cov[a, b] = 0.0
     for first in range(0, N, LANES):
         K = min(LANES, N - first)
         for a in range(n):
-            own, heavy = rows_at(room, a * _ROW, 1, K), rows_at(room, (n + a) * _ROW, 1, K)
+            own, about = stretch(X, a, first, K), mean[a]
             for i in range(K):
-                own[0, i] = X[first + i, a] - mean[a]
-                heavy[0, i] = w[first + i] * own[0, i]
+                heavy[i] = w[first + i] * (own[i] - about)
             for b in range(a + 1):
-                other, s = rows_at(room, b * _ROW, 1, K), 0.0
+                other, about, s = stretch(X, b, first, K), mean[b], 0.0
                 for i in range(K):
-                    s += heavy[0, i] * other[0, i]
+                    s += heavy[i] * (other[i] - about)
                 cov[a, b] += s
     for a in range(n):
         for b in range(a):
             cov[b, a] = cov[a, b]
+
+
+@jit
+def white_squares(white, x, centre, first, out):
+    """Fill out (K,) with squares of the lengths of W (x - centre), of points of x (n, N) from one on.
+
+    W (n, n) is lower triangular.
+    """
+    for i in range(out.size):
+        out[i] = 0.0
+    along = np.empty(out.size)
+    for a in range(len(x)):
+        for i in range(out.size):
+            along[i] = 0.0
+        for b in range(a + 1):
+            own, on, about = stretch(x, b, first, out.size), white[a, b], centre[b]
+            for i in range(out.size):
+                along[i] += on * (own[i] - about)
+        for i in range(out.size):
+            out[i] += along[i] * along[i]
 
 
 @jit
@@ -104,52 +121,54 @@ def compared(mean, cov, other, own):
 
 @jit
 def finite_rows(x):
-    """Which rows of x (N, n) are numbers, (N,), and whether all are."""
-    N, n = x.shape
+    """Which of states x (n, N) are numbers, (N,), and whether all are."""
+    n, N = x.shape
     fine, every = np.ones(N, np.bool_), summed(0.0 * x.reshape(-1)) == 0.0
-    for i in range(0 if every else N):
-        for a in range(n):
-            fine[i] &= abs(x[i, a]) < np.inf
+    for a in range(0 if every else n):
+        for i in range(N):
+            fine[i] &= abs(x[a, i]) < np.inf
     return fine, every
 
 
 @jit
 def any_beyond(few, x):
-    """Whether one of few points (K, n) lies beyond all x (N, n): steps that are too long throw them."""
-    for a in range(x.shape[1]):
-        low, high = x[0, a], x[0, a]
-        for i in range(x.shape[0]):
-            low, high = min(low, x[i, a]), max(high, x[i, a])
+    """Whether one of few points (n, K) lies beyond all x (n, N): steps that are too long throw them."""
+    for a in range(len(x)):
+        low, high = x[a, 0], x[a, 0]
+        for i in range(x.shape[1]):
+            low, high = min(low, x[a, i]), max(high, x[a, i])
         reach = LITTLE * (high - low)
-        for i in range(few.shape[0]):
-            if not low - reach <= few[i, a] <= high + reach:
+        for i in range(few.shape[1]):
+            if not low - reach <= few[a, i] <= high + reach:
                 return True
     return False
 
 
 @jit
 def near_others(x, away):
-    """Which rows of x (N, n) lie no farther off than `away` times the extent of all; and whether all do.
+    """Which of points x (n, N) lie no farther off than `away` times the extent of all; and whether all do.
 
-    The extent is that between an eighth and seven of the values of a few dozen rows.
+    The extent is that between an eighth and seven of the values of a few dozen of them.
     """
-    N, n = x.shape
+    n, N = x.shape
     each, some = max(N // LOOK, 1), np.empty(N // max(N // LOOK, 1) + 1)
     near, every = np.ones(N, np.bool_), True
     for a in range(n):
         count = 0
         for i in range(0, N, each):  # sorted, and what is no number last
             at = count
-            while at > 0 and (some[at - 1] > x[i, a] or some[at - 1] != some[at - 1]):
+            while at > 0 and (some[at - 1] > x[a, i] or some[at - 1] != some[at - 1]):
                 some[at] = some[at - 1]
                 at -= 1
-            some[at] = x[i, a]
+            some[at] = x[a, i]
             count += 1
         low, high = some[count // 8], some[count - 1 - count // 8]
-        reach = away * (high - low) + abs(low) + abs(high)
+        reach, beyond = away * (high - low) + abs(low) + abs(high), 0
         for i in range(N):
-            if not low - reach <= x[i, a] <= high + reach:
-                near[i] = every = False
+            beyond += not low - reach <= x[a, i] <= high + reach
+        every &= beyond == 0
+        for i in range(N if beyond else 0):
+            near[i] &= low - reach <= x[a, i] <= high + reach
     return near, every
 
 
@@ -172,20 +191,20 @@ def carriers(x, log_w, ancestor, older):
     until noise has parted it: the mean's number is the least by lineages of one reading and of more (Olsson &
     Douc 2019).
 
-    States x (N, n) that are no numbers weigh nothing; exp(log_w) (N,) have the evidence as their sum. Each
+    States x (n, N) that are no numbers weigh nothing; exp(log_w) (N,) have the evidence as their sum. Each
     has an ancestor (N,) among the prior's M points, and these `older` ones (readings, M) among those of the
     reading before, of the one before that, and so on.
 
     Returns
     -------
-    x, w, lineage : ndarray, shapes (N, n), (N,), (1 + readings, N)
+    x, w, lineage : ndarray, shapes (n, N), (N,), (1 + readings, N)
         Those with weights, of sum one, and their ancestors; all, without weights, where none has any.
     log_evidence : float
     mean, cov : ndarray, shapes (n,), (n, n)
     of_variance, effective, lineages : float
         Numbers for variances, for the mean and for the evidence.
     """
-    N, n = x.shape
+    n, N = x.shape
     log_w, w, mean, cov = log_w.copy(), np.zeros(N), np.zeros(n), np.zeros((n, n))
     fine, every = finite_rows(x)
     for i in range(0 if every else N):
@@ -217,16 +236,16 @@ def carriers(x, log_w, ancestor, older):
 
 @jit
 def of_variances(x, w, mean, cov):
-    """Number of random points of a Gaussian whose variances would be as unsure as those of x (N, n).
+    """Number of random points of a Gaussian whose variances would be as unsure as those of x (n, N).
 
     Weights w (N,) have sum one. Of heavy tails a few points carry the variance, and the mean knows nothing of
     it; of the states the worst counts.
     """
-    (N, n), least = x.shape, np.inf
+    (n, N), least = x.shape, np.inf
     for a in range(n):
         s = 0.0
         for i in range(N):
-            more = w[i] * ((x[i, a] - mean[a]) ** 2 - cov[a, a])
+            more = w[i] * ((x[a, i] - mean[a]) ** 2 - cov[a, a])
             s += more * more
         if s > 0.0:
             least = min(least, 2.0 * cov[a, a] ** 2 / s)
@@ -252,27 +271,45 @@ def of_points(lines, number):
 @jit
 def _heavy(x, w, ancestor, count):
     """The points, so many, that weigh anything, their weights and ancestors."""
-    n, j = x.shape[1], 0
-    y, v, own = np.empty((count, n)), np.empty(count), np.empty(count, np.int64)
+    number, j = np.empty(count, np.int64), 0
     for i in range(w.size):
         if w[i] > 0.0:
-            v[j], own[j] = w[i], ancestor[i]
-            for a in range(n):
-                y[j, a] = x[i, a]
+            number[j] = i
             j += 1
-    return y, v, own
+    return taken(x, number), w[number], ancestor[number]
+
+
+@jit
+def taken(x, number):
+    """Points (n, M) of x (n, N), by their number (M,)."""
+    y = np.empty((len(x), number.size))
+    for a in range(len(x)):
+        for i in range(number.size):
+            y[a, i] = x[a, number[i]]
+    return y
+
+
+@jit
+def turned(x):
+    """An array (n, N) with rows for columns, (N, n)."""
+    n, N = x.shape
+    y = np.empty((N, n))
+    for a in range(n):
+        for i in range(N):
+            y[i, a] = x[a, i]
+    return y
 
 
 @jit
 def _added(x, w, lineage, mean):
     """What lineages add to the mean (n,) and to the weight, (lineages, n + 1), and the number of each."""
-    N, n = x.shape
+    n, N = x.shape
     out, member, count = np.zeros((lineage.max() + 1, n + 1)), np.empty(N, np.int64), 0
     for i in range(N):
         k = lineage[i]
         out[k, n] += w[i]
         for a in range(n):
-            out[k, a] += w[i] * (x[i, a] - mean[a])
+            out[k, a] += w[i] * (x[a, i] - mean[a])
     for k in range(len(out)):
         if out[k, n] > 0.0:
             member[count] = k
@@ -378,7 +415,7 @@ def systematic(w, count, shift):
 
 @jit
 def for_moments(x, w, mean, cov, count, shift):
-    """Numbers and weights (count,) of points drawn from weighted ones, x (N, n) and w (N,), all of sum one.
+    """Numbers and weights (count,) of points drawn from weighted ones, x (n, N) and w (N,), all of sum one.
 
     Their mean is (n,), their covariance (n, n).
 
@@ -386,14 +423,12 @@ def for_moments(x, w, mean, cov, count, shift):
     weighs as much less: mean and covariance hang on it so much more, and so may what is read next. That makes
     no more than one draw of any, as copies know no more than it does.
     """
-    (N, n), by = x.shape, w.copy()
-    L, off = np.empty((n, n)), np.empty(n)
+    (n, N), by = x.shape, w.copy()
+    L, square = np.empty((n, n)), np.empty(N)
     if cholesky(cov, L):
-        white = invert_lower(L)
+        white_squares(invert_lower(L), x, mean, 0, square)
         for i in range(N):
-            for a in range(n):
-                off[a] = x[i, a] - mean[a]
-            more = w[i] * white_square(white, off) / n
+            more = w[i] * square[i] / n
             by[i] += more / (1.0 + count * more)
     chosen = systematic(by, count, shift)
     own = w[chosen] / by[chosen]
