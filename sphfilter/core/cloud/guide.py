@@ -52,12 +52,19 @@ def without_noise(y, x, u, L, Phi, block):
 def _add_of_neighbours(rest, out):
     """Add to each of some numbers (K,) the mean of its neighbours' rests (K or more,)."""
     K = out.size
-    for i in range(K):
+    inside = max(K - 2 * NEAR, 0)
+    for i in range(inside):
+        s = -rest[i + NEAR]
+        for k in range(2 * NEAR + 1):
+            s += rest[i + k]
+        out[i + NEAR] += s / (2 * NEAR)
+    for j in range(K - inside):  # at both ends
+        i = j if j < NEAR else inside + j
         low, high = max(i - NEAR, 0), min(i + NEAR + 1, K)
         s = -rest[i]
         for k in range(low, high):
             s += rest[k]
-        out[i] += s * (1.0 / max(high - low - 1, 1))
+        out[i] += s / max(high - low - 1, 1)
 
 
 @jit

@@ -10,7 +10,7 @@ import numpy as np
 from numba import types
 
 from .._addresses import Entry, function_at
-from .._jit import MATRIX, jit
+from .._jit import MATRIX, jit, sums_jit
 from .._views import rows_at, stretch
 from ..limits import LOOK, ROUNDING
 from ..small_matrices import product
@@ -35,36 +35,37 @@ def end_of_block(block, first):
     return end
 
 
-@jit
+@sums_jit
 def centres(x):
     """Means (blocks, n) of blocks of consecutive points of x (n, N)."""
     n, N = x.shape
     size = block_size(N)
     c = np.empty((-(-N // size), n))
     for b in range(c.shape[0]):
-        first, last = b * size, min((b + 1) * size, N)
+        K = min(size, N - b * size)
         for a in range(n):
-            s = 0.0
-            for i in range(first, last):
-                s += x[a, i]
-            c[b, a] = s / (last - first)
+            own, s = stretch(x, a, b * size, K), 0.0
+            for i in range(K):
+                s += own[i]
+            c[b, a] = s / K
     return c
 
 
-@jit
+@sums_jit
 def block_roots(x):
     """Lower roots (blocks, n, n) of the covariances of blocks of consecutive points of x (n, N)."""
     n, N = x.shape
     size, c = block_size(N), centres(x)
     L, S = np.zeros((c.shape[0], n, n)), np.empty((n, n))
     for b in range(c.shape[0]):
-        first, last = b * size, min((b + 1) * size, N)
+        K = min(size, N - b * size)
         for a in range(n):
+            own, about = stretch(x, a, b * size, K), c[b, a]
             for e in range(a + 1):
-                s = 0.0
-                for i in range(first, last):
-                    s += (x[a, i] - c[b, a]) * (x[e, i] - c[b, e])
-                S[a, e] = S[e, a] = s / (last - first)
+                other, middle, s = stretch(x, e, b * size, K), c[b, e], 0.0
+                for i in range(K):
+                    s += (own[i] - about) * (other[i] - middle)
+                S[a, e] = S[e, a] = s / K
         for a in range(n):
             for e in range(a + 1):
                 s = S[a, e]
@@ -77,7 +78,7 @@ def block_roots(x):
     return L
 
 
-@jit
+@sums_jit
 def widths(x, lineage, power):
     """Widths (blocks,) of what points x (n, N) stand for, over the standard deviation of their block.
 
@@ -91,8 +92,6 @@ def widths(x, lineage, power):
     for b in range(out.size):
         first, last = b * size, min((b + 1) * size, N)
         K, lineages = last - first, 0
-        for a in range(n):
-            mean[a] = square[a] = 0.0
         for i in range(first, last):
             k = lineage[i]
             if members[k] == 0:
@@ -101,10 +100,12 @@ def widths(x, lineage, power):
                 for a in range(n):
                     sums[k, a] = 0.0
             members[k] += 1
-            for a in range(n):
-                sums[k, a] += x[a, i]
-                mean[a] += x[a, i] / K
-                square[a] += x[a, i] * x[a, i] / K
+        for a in range(n):
+            values, mean[a], square[a] = stretch(x, a, first, K), 0.0, 0.0
+            for i in range(K):
+                mean[a] += values[i] / K
+                square[a] += values[i] * values[i] / K
+                sums[lineage[first + i], a] += values[i]
         ratio = 0.0
         for a in range(n):
             variance, between = square[a] - mean[a] * mean[a], -mean[a] * mean[a]

@@ -10,6 +10,7 @@ from .._views import stretch
 #: Points that are moved together: of four states, 8 numbers each in a step, they fill the first-level cache,
 #: 128 * 4 * 8 * 8 bytes = 32 KB.
 LANES = 128
+_PIECE = 4 * LANES  # of a net: of four states, 2 * 4 * 512 numbers of 8 bytes are 32 KB
 #: Noise of a leg: it depends on the state, or stands beside the drift; or is that of a map, and normal.
 OF_STATE, ADDITIVE, NORMAL = range(3)
 
@@ -124,13 +125,15 @@ def even_normals(z, key):
     n, N = z.shape
     turn, shift = rotation(key, n), int(uniform(key, np.uint64(2**40)) * N)
     out = np.zeros((n, N))
-    for a in range(n):
-        for e in range(n):
-            part = turn[a, e]
-            for at, begin, size in ((0, shift, N - shift), (N - shift, 0, shift)):
-                own, given = stretch(out, a, at, size), stretch(z, e, begin, size)
-                for i in range(size):
-                    own[i] += part * given[i]
+    for first, last, begin in ((0, N - shift, shift), (N - shift, N, 0)):
+        for at in range(first, last, _PIECE):
+            size = min(_PIECE, last - at)
+            for a in range(n):
+                own = stretch(out, a, at, size)
+                for e in range(n):
+                    given, part = stretch(z, e, begin + at - first, size), turn[a, e]
+                    for i in range(size):
+                        own[i] += part * given[i]
     return out
 
 

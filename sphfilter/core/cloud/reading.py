@@ -30,6 +30,7 @@ from .move import affine, move_at
 from .noise import LANES, even_normals, mixed, stored
 from .way import AGAIN
 from .weights import (
+    beside,
     effective,
     finite_rows,
     normalise,
@@ -219,4 +220,4 @@ def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, net
     for i in range(0 if every else N):
         more[i] = more[i] if fine[i] else -np.inf
     both = over_both(np.concatenate((log_l, more)), log_ratio, w)
-    return np.concatenate((y, end), axis=1), both, np.concatenate((alone, ancestor)), wrong
+    return beside(y, end), both, np.concatenate((alone, ancestor)), wrong

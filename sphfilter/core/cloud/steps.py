@@ -107,23 +107,23 @@ def _runge_kutta(drift, p, room, K, n, t, dt):
 
 
 @jit
-def flow_at_once(leg, room, K, n, t, h):
-    """Move the K points in a room along drift plus slope over h, in one step."""
-    _runge_kutta(function_at(leg.drift), leg.p, room, K, n, t, h)
+def flow_at_once(drift, p, room, K, n, t, h):
+    """Move the K points in a room along drift, by its address, plus slope over h, in one step."""
+    _runge_kutta(function_at(drift), p, room, K, n, t, h)
 
 
 @jit
-def flow_in_parts(leg, room, K, n, t, h):
-    """Move the K points in a room along a stiff drift plus slope, in as many steps as it takes.
+def flow_in_parts(drift, p, room, K, n, t, h):
+    """Move the K points in a room along a stiff drift, by its address, plus slope, in as many steps as it takes.
 
     A point that no step is short enough for is given up, as no number; all are, if it takes too many steps.
     """
-    drift, x, before = function_at(leg.drift), part(room, X, K, n), part(room, BEFORE, K, n)
+    x, before = part(room, X, K, n), part(room, BEFORE, K, n)
     went, dt = 0.0, h
     for _ in range(_MOST_PARTS):
         dt = min(dt, h - went)
         _copy(x, before)
-        _runge_kutta(drift, leg.p, room, K, n, t + went, dt)
+        _runge_kutta(function_at(drift), p, room, K, n, t + went, dt)
         off, worst = _off(room, K, n, dt)
         if off <= 1.0:
             went += dt
@@ -162,7 +162,7 @@ def _off(room, K, n, dt):
     return off, worst
 
 
-_FLOWS = LEG, VECTOR, types.int64, types.int64, types.float64, types.float64
+_FLOWS = ADDRESS, VECTOR, VECTOR, types.int64, types.int64, types.float64, types.float64
 FLOW, STIFF_FLOW = (Entry(function, _FLOWS, types.void) for function in (flow_at_once, flow_in_parts))
 flow_at = FLOW.at
 
@@ -176,7 +176,7 @@ def flow(leg, x, t, h, room):
         own = part(room, X, many, n)
         _copy(x[at : at + many], own)
         _fill(part(room, SLOPE, many, n), 0.0)
-        flow_at(leg.flow)(leg, room, many, n, t, h)
+        flow_at(leg.flow)(leg.drift, leg.p, room, many, n, t, h)
         _copy(own, x[at : at + many])
         at += many
 
@@ -235,6 +235,7 @@ def beside_noise(leg, x, Z, odd, room):
         rows_at(room, _NOISE + 2 * m * LANES, m, K),
     )
     h, flow, before = leg.h, flow_at(leg.flow), np.empty((K if leg.walls else 0, n))
+    drift, p = leg.drift, leg.p
     half, area, per = 0.5 * math.sqrt(leg.h), math.sqrt(leg.h / 12.0), 1.0 / math.sqrt(leg.h)
     _copy(x, own)
     _fill(last, 0.0)
@@ -254,7 +255,7 @@ def beside_noise(leg, x, Z, odd, room):
         if not leg.constant:
             scaled(leg, own, t + 0.5 * h, sigma)
         _set_noise(sigma, rise, slope)
-        flow(leg, room, K, n, t, h)
+        flow(drift, p, room, K, n, t, h)
         if not leg.constant:
             scaled(leg, own, t + h, sigma)
         if leg.walls:
@@ -356,9 +357,10 @@ def between_noise(leg, x, Z, odd, room):
     (K, n), m = x.shape, leg.root.shape[0]
     own, raw, w = part(room, X, K, n), np.empty((K, n * m)), np.empty((m, K))
     h, flow, before = leg.h, flow_at(leg.flow), np.empty((K if leg.walls else 0, n))
+    drift, p = leg.drift, leg.p
     _copy(x, own)
     _fill(part(room, SLOPE, K, n), 0.0)
-    flow(leg, room, K, n, leg.t, 0.5 * h)
+    flow(drift, p, room, K, n, leg.t, 0.5 * h)
     for s in range(leg.steps):
         if leg.walls:
             _copy(own, before)
@@ -370,7 +372,7 @@ def between_noise(leg, x, Z, odd, room):
         for j in range(m):
             k = j if forward else m - 1 - j
             _kick(leg, own, middle, w, k, k + 1, room, raw)
-        flow(leg, room, K, n, middle, h if s + 1 < leg.steps else 0.5 * h)
+        flow(drift, p, room, K, n, middle, h if s + 1 < leg.steps else 0.5 * h)
         if leg.walls:
             _reflect(leg, before, own, middle)
     _copy(own, x)

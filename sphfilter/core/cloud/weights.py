@@ -3,24 +3,21 @@
 import math
 
 import numpy as np
-from numba import njit
-
-from .._jit import jit
+from .._jit import jit, sums_jit
 from .._views import stretch
 from ..elementary import FAST
-from ..limits import LITTLE, LOOK, ROUNDING
+from ..limits import LITTLE, LOOK, ROUNDING, TINY
 from ..small_matrices import cholesky, invert_lower, whiten
 from .noise import LANES
 
 AWAY = 1.0 / ROUNDING  # extents, from which a point has run away: AWAY² = 1 / eps leaves others no digit
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz", "contract"})
+@sums_jit
 def weighted_moments(X, w, mean, cov):
     """Fill mean (n,) and covariance (n, n) of states X (n, N) with weights w (N,) that sum to one.
 
-    Sums may be taken in any order, as vector instructions want it, a few states at a time, which fit the
-    first-level cache.
+    Sums are over a few states at a time, which fit the first-level cache.
     """
     (n, N), heavy = X.shape, np.empty(LANES)
     for a in range(n):
@@ -177,7 +174,8 @@ def prior_times(w, log_l):
     """Logarithms (N,) of weights w (N,) times likelihoods."""
     out = np.empty(w.size)
     for i in range(w.size):
-        out[i] = log_l[i] + FAST.log(w[i]) if w[i] > 0.0 else -np.inf
+        known = log_l[i] + FAST.log(max(w[i], TINY))
+        out[i] = known if w[i] > 0.0 else -np.inf
     return out
 
 
@@ -290,6 +288,20 @@ def taken(x, number):
 
 
 @jit
+def beside(x, y):
+    """Points x (n, N) and y (n, M) as one array (n, N + M)."""
+    (n, N), M = x.shape, y.shape[1]
+    out = np.empty((n, N + M))
+    for a in range(n):
+        for i in range(N):
+            out[a, i] = x[a, i]
+        more = stretch(out, a, N, M)
+        for i in range(M):
+            more[i] = y[a, i]
+    return out
+
+
+@jit
 def turned(x):
     """An array (n, N) with rows for columns, (N, n)."""
     n, N = x.shape
@@ -302,59 +314,65 @@ def turned(x):
 
 @jit
 def _added(x, w, lineage, mean):
-    """What lineages add to the mean (n,) and to the weight, (lineages, n + 1), and the number of each."""
+    """What lineages add to the mean (n,) and to the weight, (n + 1, lineages), and the number of each."""
     n, N = x.shape
-    out, member, count = np.zeros((lineage.max() + 1, n + 1)), np.empty(N, np.int64), 0
+    out, member, count = np.zeros((n + 1, lineage.max() + 1)), np.empty(N, np.int64), 0
     for i in range(N):
-        k = lineage[i]
-        out[k, n] += w[i]
-        for a in range(n):
-            out[k, a] += w[i] * (x[a, i] - mean[a])
-    for k in range(len(out)):
-        if out[k, n] > 0.0:
+        out[n, lineage[i]] += w[i]
+    for a in range(n):
+        for i in range(N):
+            out[a, lineage[i]] += w[i] * (x[a, i] - mean[a])
+    for k in range(out.shape[1]):
+        if out[n, k] > 0.0:
             member[count] = k
-            for a in range(n + 1):
-                out[count, a] = out[k, a]
             count += 1
-    return out[:count], member[:count]
+    return taken(out, member[:count]), member[:count]
 
 
 @jit
 def _gathered(added, member, older):
     """What those that lineages come from add, in place of these; and the number of a member of each."""
-    place, count = np.full(older.max() + 1, -1), 0
+    place, number, count = np.full(older.max() + 1, -1), np.empty(len(member), np.int64), 0
     for k in range(len(member)):
         own = older[member[k]]
-        j = place[own]
-        if j < 0:
+        if place[own] < 0:
             place[own], member[count] = count, member[k]
-            for a in range(added.shape[1]):
-                added[count, a] = added[k, a]
             count += 1
-        else:
-            for a in range(added.shape[1]):
-                added[j, a] += added[k, a]
-    return added[:count], member[:count]
+        number[k] = place[own]
+    out = np.zeros((len(added), count))
+    for a in range(len(added)):
+        for k in range(len(number)):
+            out[a, number[k]] += added[a, k]
+    return out, member[:count]
 
 
 @jit
 def _squares(added, cov):
     """Squares of what lineages add: of their weights, and to the mean, over one point's variances."""
-    n, squares, part = cov.shape[0], 0.0, 0.0
-    L, S = np.empty((n, n)), np.zeros((n, n))
-    for k in range(added.shape[0]):
-        squares += added[k, n] * added[k, n]
-        for a in range(n):
-            for b in range(a + 1):
-                S[a, b] += added[k, a] * added[k, b]
+    n, part = cov.shape[0], 0.0
+    L, S = np.empty((n, n)), _products(added)
     if not cholesky(cov, L):
-        return squares, np.nan
+        return S[n, n], np.nan
     W = invert_lower(L)
     for a in range(n):
         for b in range(a + 1):
             for c in range(a + 1):
                 part += W[a, b] * S[max(b, c), min(b, c)] * W[a, c] / n
-    return squares, part
+    return S[n, n], part
+
+
+@sums_jit
+def _products(x):
+    """Sums x xᵀ (n, n) of rows x (n, N), in its lower triangle."""
+    n, N = x.shape
+    S = np.empty((n, n))
+    for a in range(n):
+        for b in range(a + 1):
+            s = 0.0
+            for i in range(N):
+                s += x[a, i] * x[b, i]
+            S[a, b] = s
+    return S
 
 
 @jit
@@ -383,9 +401,9 @@ def normalise(log_w, w):
     return top + math.log(total)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz"})
+@sums_jit
 def summed(w):
-    """The sum of numbers (N,), in any order."""
+    """The sum of numbers (N,)."""
     total = 0.0
     for i in range(w.size):
         total += w[i]
