@@ -88,7 +88,7 @@ def widths(x, lineage, power):
     n, N = x.shape
     size, count = block_size(N), lineage.max() + 1
     out, sums, members = np.empty(-(-N // size)), np.empty((count, n)), np.zeros(count, np.int64)
-    mean, square, own = np.empty(n), np.empty(n), np.empty(size, np.int64)
+    own = np.empty(size, np.int64)
     for b in range(out.size):
         first, last = b * size, min((b + 1) * size, N)
         K, lineages = last - first, 0
@@ -100,18 +100,18 @@ def widths(x, lineage, power):
                 for a in range(n):
                     sums[k, a] = 0.0
             members[k] += 1
-        for a in range(n):
-            values, mean[a], square[a] = stretch(x, a, first, K), 0.0, 0.0
-            for i in range(K):
-                mean[a] += values[i] / K
-                square[a] += values[i] * values[i] / K
-                sums[lineage[first + i], a] += values[i]
         ratio = 0.0
         for a in range(n):
-            variance, between = square[a] - mean[a] * mean[a], -mean[a] * mean[a]
+            values, mean, square = stretch(x, a, first, K), 0.0, 0.0
+            for i in range(K):
+                mean += values[i] / K
+                square += values[i] * values[i] / K
+            for i in range(K):
+                sums[lineage[first + i], a] += values[i]
+            variance, between = square - mean * mean, -mean * mean
             for j in range(lineages):
                 between += sums[own[j], a] ** 2 / (members[own[j]] * K)
-            if variance > ROUNDING * square[a]:
+            if variance > ROUNDING * square:
                 ratio += between / (variance * n)
         for j in range(lineages):
             members[own[j]] = 0

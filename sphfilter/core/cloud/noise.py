@@ -124,7 +124,7 @@ def even_normals(z, key):
     """The points of a net z (n, N), turned and shifted cyclically by a key."""
     n, N = z.shape
     turn, shift = rotation(key, n), int(uniform(key, np.uint64(2**40)) * N)
-    out = np.zeros((n, N))
+    out = np.empty((n, N))
     for first, last, begin in ((0, N - shift, shift), (N - shift, N, 0)):
         for at in range(first, last, _PIECE):
             size = min(_PIECE, last - at)
@@ -133,7 +133,7 @@ def even_normals(z, key):
                 for e in range(n):
                     given, part = stretch(z, e, begin + at - first, size), turn[a, e]
                     for i in range(size):
-                        own[i] += part * given[i]
+                        own[i] = part * given[i] + (own[i] if e > 0 else 0.0)
     return out
 
 

@@ -14,7 +14,7 @@ from .curve import along_curve
 from .noise import LANES, OF_STATE, fill_noise, mixed
 from .steps import Leg, new_room, walk
 from .way import PILOT
-from .weights import AWAY, finite_rows, systematic, taken, turned
+from .weights import AWAY, eighths, finite_rows, systematic, taken, turned
 
 #: Groups of the points that tell the bias of steps; where what they show may be chance, more are asked, up to
 #: N / 8 (as many as a shadow has), as long as that costs less than the steps that chance would ask for.
@@ -161,39 +161,19 @@ def thrown(coarse, fine, w):
     do to the farthest of many: those that are too long for a drift that pulls harder there throw them out.
     """
     K, n = fine.shape
-    most, ends = 0.0, np.empty(K)
+    most = 0.0
     for a in range(n):
-        ends[:] = fine[:, a]
-        ends.sort()
-        spread = max(ends[K - 1 - K // 8] - ends[K // 8], ROUNDING * abs(ends[K // 2]), TINY)
+        first, last, _ = eighths(fine[:, a], 1)
+        spread = max(last - first, ROUNDING * abs(first), TINY)
         low, high = np.inf, -np.inf
         for i in range(K):
-            if abs(ends[i] - ends[K // 2]) < AWAY * spread:  # else it is given up
-                low, high = min(low, ends[i]), ends[i]
+            if abs(fine[i, a] - first) < AWAY * spread:  # else it is given up
+                low, high = min(low, fine[i, a]), max(high, fine[i, a])
         for j in range(K - w.size, K):
             off = max(low - coarse[j, a], coarse[j, a] - high) / spread
             if low <= fine[j, a] <= high and not off <= 0.0:
                 most = max(most, w[j - K + w.size] * off * off if off < np.inf else np.inf)
     return most
-
-
-@jit
-def _eighths(v, ends):
-    """An eighth and seven of finite numbers of v (K,), how far about them others are, and how many are.
-
-    `ends` (K,) is scratch.
-    """
-    count = 0
-    for i in range(v.size):
-        if abs(v[i]) < np.inf:
-            at = count  # sorted
-            while at > 0 and ends[at - 1] > v[i]:
-                ends[at] = ends[at - 1]
-                at -= 1
-            ends[at] = v[i]
-            count += 1
-    low, high = ends[count // 8], ends[max(count - 1, 0) - count // 8]
-    return low, high, AWAY * (high - low) + abs(low) + abs(high), count
 
 
 @jit
@@ -206,10 +186,10 @@ def parted(coarse, fine, groups):
     """
     K, n = fine.shape
     size, total, chance = K // groups, 0.0, 0.0
-    ends = np.empty(size)
     for g in range(groups):
         for a in range(n):
-            low, high, reach, count = _eighths(fine[g * size : (g + 1) * size, a], ends)
+            low, high, count = eighths(fine[g * size : (g + 1) * size, a], 1)
+            reach = AWAY * (high - low) + abs(low) + abs(high)
             if count < (1.0 - 2.0 * MOST_LOST) * size:
                 return np.inf, 0.0
             count, mean, square, off, scatter, together = 0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -245,10 +225,9 @@ def wider(coarse, fine, x, groups):
     """
     (K, n), end, total = x.shape, coarse.t + coarse.steps * coarse.h, 0.0
     size, width, scratch = K // groups, np.empty((groups, n)), np.empty((n, n))
-    ends = np.empty(size)
     for g in range(groups):
         for a in range(n):
-            low, high = _eighths(x[g * size : (g + 1) * size, a], ends)[:2]
+            low, high, _ = eighths(x[g * size : (g + 1) * size, a], 1)
             width[g, a] = 0.5 * (high - low)  # of a Gaussian, 1.15 standard deviations
     about = x[size // 2 : groups * size : size].copy()
     (_, wrong), (M, P) = one_step(coarse, end, about, width), one_step(fine, end, about, width)

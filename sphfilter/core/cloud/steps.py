@@ -114,7 +114,7 @@ def flow_at_once(drift, p, room, K, n, t, h):
 
 @jit
 def flow_in_parts(drift, p, room, K, n, t, h):
-    """Move the K points in a room along a stiff drift, by its address, plus slope, in as many steps as it takes.
+    """Move the K points in a room along a stiff drift plus slope, in as many steps as it takes.
 
     A point that no step is short enough for is given up, as no number; all are, if it takes too many steps.
     """

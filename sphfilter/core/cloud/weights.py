@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+
 from .._jit import jit, sums_jit
 from .._views import stretch
 from ..elementary import FAST
@@ -147,19 +148,10 @@ def near_others(x, away):
 
     The extent is that between an eighth and seven of the values of a few dozen of them.
     """
-    n, N = x.shape
-    each, some = max(N // LOOK, 1), np.empty(N // max(N // LOOK, 1) + 1)
-    near, every = np.ones(N, np.bool_), True
+    (n, N), every = x.shape, True
+    near = np.ones(N, np.bool_)
     for a in range(n):
-        count = 0
-        for i in range(0, N, each):  # sorted, and what is no number last
-            at = count
-            while at > 0 and (some[at - 1] > x[a, i] or some[at - 1] != some[at - 1]):
-                some[at] = some[at - 1]
-                at -= 1
-            some[at] = x[a, i]
-            count += 1
-        low, high = some[count // 8], some[count - 1 - count // 8]
+        low, high, _ = eighths(x[a], max(N // LOOK, 1))
         reach, beyond = away * (high - low) + abs(low) + abs(high), 0
         for i in range(N):
             beyond += not low - reach <= x[a, i] <= high + reach
@@ -167,6 +159,34 @@ def near_others(x, away):
         for i in range(N if beyond else 0):
             near[i] &= low - reach <= x[a, i] <= high + reach
     return near, every
+
+
+@jit
+def eighths(v, each):
+    """An eighth and seven of the finite ones among numbers v (K,), of which one in so many is taken.
+
+    And how many there are; infinite where there are none.
+    """
+    count = 0
+    for i in range(0, v.size, each):
+        count += abs(v[i]) < np.inf
+    least, greatest = np.full(count // 8 + 1, np.inf), np.full(count // 8 + 1, np.inf)
+    for i in range(0, v.size, each):
+        if abs(v[i]) < np.inf:
+            _sorted_in(least, v[i])
+            _sorted_in(greatest, -v[i])
+    return least[-1], -greatest[-1], count
+
+
+@jit
+def _sorted_in(least, value):
+    """Put a value among the least so far, in order, if it is one of them."""
+    at = least.size - 1
+    if value < least[at]:
+        while at > 0 and least[at - 1] > value:
+            least[at] = least[at - 1]
+            at -= 1
+        least[at] = value
 
 
 @jit
