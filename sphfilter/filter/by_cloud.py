@@ -28,11 +28,20 @@ from .stacked import Stacked
 
 
 def by_cloud(
-    density: ParticleDensity, asked: ReadingAtPrior, n_particles: int, config: FilterConfig, why: str = ""
+    density: ParticleDensity,
+    asked: ReadingAtPrior,
+    n_particles: int,
+    config: FilterConfig,
+    why: str = "",
+    n_points: int | None = None,
 ) -> tuple[ParticleDensity, dict[str, Any]]:
-    """Prior times likelihood as a cloud of weighted points, and what the update says."""
-    scheme = config.scheme if isinstance(config.scheme, CloudScheme) else CloudScheme()
-    state = as_points(density, scheme.n_points)
+    """Prior times likelihood as a cloud of weighted points, and what the update says.
+
+    What is none yet becomes one of as many points as are given, or the configuration's scheme has.
+    """
+    if n_points is None:
+        n_points = (config.scheme if isinstance(config.scheme, CloudScheme) else CloudScheme()).n_points
+    state = as_points(density, n_points)
     found = cloud_times_likelihood(state, Stacked.of((asked,), density.domain))
     if found is None:
         raise PropagationError(

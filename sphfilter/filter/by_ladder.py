@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..config import CloudScheme, FilterConfig
+from ..config import FilterConfig
 from ..density.as_family import as_polynomials
 from ..density.defect import ROUGH
 from ..density.memory import Memory, error_budget, flagged_from, min_nodes, tolerated_excess
@@ -109,8 +109,7 @@ def _on_cloud(
     density: ParticleDensity, asked: ReadingAtPrior, target: float, config: FilterConfig, needs: Memory
 ) -> Posterior:
     """The posterior as a cloud; of how many points the next one has, what its points told tells."""
-    scheme = CloudScheme(n_points=needs.cloud(target))
-    new, said = by_cloud(density, asked, 0, replace(config, scheme=scheme))
+    new, said = by_cloud(density, asked, 0, config, n_points=needs.cloud(target))
     assert new.cloud is not None
     needs = needs.told(new.cloud.told.decisive(target, new.dim), target, new.cloud.size)
     return new.noted(needs=needs), _flagged_if_missed(said, target)

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig
 from ..density.particle_density import ParticleDensity
-from ..density.points import moments
+from ..density.points import moments, whitener
 from ..errors import ModelError
 from ..info import DOUBTFUL, Code, may_be_off
 from ..lattice.resolved import Search
@@ -91,7 +91,7 @@ class ReadingAtPrior(NamedTuple):
         """A sentence where the reading lies far outside of what was predicted; else empty."""
         if self.innovation is None or self.S is None:
             return ""
-        distance = np.sqrt(self.innovation @ np.linalg.solve(self.S, self.innovation))
+        distance = float(np.linalg.norm(whitener(self.S) @ self.innovation))
         if not distance > OUTLYING:
             return ""
         return f"outlying measurement: {distance:.1f} sigma from its prediction"

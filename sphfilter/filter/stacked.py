@@ -1,5 +1,7 @@
 """Sensors that read the state at one time, as one; and passages one after the other, as one."""
 
+from functools import lru_cache
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,8 +16,8 @@ from ..core.cloud.weights import finite_rows
 from ..core.limits import DIFFERENCE
 from ..density.points import columns
 from ..model.domain import Domain
+from ..model.measurements import GaussianMeasurement, has_gaussian_noise, has_own_likelihood, is_gaussian
 from ..model.measurements import block as block_of
-from ..model.measurements import has_gaussian_noise, has_own_likelihood, is_gaussian
 from ..model.sensors import Sensors
 
 _NOTHING, _NO_MATRIX = np.empty(0), np.empty((0, 0))
@@ -38,6 +40,14 @@ class Stacked(NamedTuple):
     @classmethod
     def of(cls, readings: tuple[Any, ...], domain: Domain | None) -> "Stacked":
         """The readings of one time, each of them `Asked`; of several sensors as one, those of each."""
+        if len(readings) == 1 and domain is None and readings[0].seen.all():
+            (asked,), sensor = readings, readings[0].measurement
+            if type(sensor) is GaussianMeasurement:
+                return _read_alone(sensor, len(asked.seen)).again(asked)
+        return cls._made(readings, domain)
+
+    @classmethod
+    def _made(cls, readings: tuple[Any, ...], domain: Domain | None) -> "Stacked":
         readings = tuple(member for asked in readings for member in _members(asked))
         guides = tuple(a for a in readings if is_gaussian(a.measurement) or has_gaussian_noise(a.measurement))
         if not guides:
@@ -154,6 +164,13 @@ class Stacked(NamedTuple):
             one = np.eye(len(self.pilot))
             parts.append(np.broadcast_to(one, (len(c), *one.shape)))
         return _blocks(parts)
+
+
+@lru_cache(maxsize=64)
+def _read_alone(sensor: GaussianMeasurement, k: int) -> Stacked:
+    """A sensor by itself, of which all k numbers came: whatever they are, the rest is the same."""
+    asked = SimpleNamespace(measurement=sensor, seen=np.ones(k, bool), numbers=np.zeros(k), t=0.0)
+    return Stacked._made((asked,), None)
 
 
 def _members(asked: Any) -> tuple[Any, ...]:
