@@ -51,8 +51,9 @@ class Cloud(Kernels):
         return self.summed[0].copy()
 
     def cov(self, centre: Floats | None = None) -> Floats:
-        off = np.zeros(self.x.shape[1]) if centre is None else self.summed[0] - centre
-        return self.summed[1] + np.outer(off, off)
+        if centre is None:
+            return self.summed[1].copy()
+        return self.summed[1] + np.outer(self.summed[0] - centre, self.summed[0] - centre)
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
         """Points in the kernels, as many for the whole cloud as serve a lattice: always the same ones."""

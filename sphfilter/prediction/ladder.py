@@ -7,7 +7,6 @@ What the last steps needed is in the density, `density.needs`: there the next on
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -289,4 +288,4 @@ def as_asked(info: PredictInfo, target: float) -> PredictInfo:
     usual = Code.CLOUD | Code.FINER
     if info.code & ~usual or not info.error < doubtful_from(target):
         return info
-    return replace(info, status="ok", code=Code.OK)
+    return info.noted(status="ok", code=Code.OK)
