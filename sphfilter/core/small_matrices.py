@@ -64,18 +64,6 @@ def whiten(L, v):
 
 
 @jit
-def white_square(W, v):
-    """Square of the length of W v, W (k, k) lower: of F⁻¹ v where W is that inverse."""
-    square = 0.0
-    for a in range(v.size):
-        s = 0.0
-        for b in range(a + 1):
-            s += W[a, b] * v[b]
-        square += s * s
-    return square
-
-
-@jit
 def invert_lower(A):
     """Inverse of a lower triangular matrix."""
     n = A.shape[0]

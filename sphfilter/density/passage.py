@@ -8,17 +8,18 @@ import numpy as np
 from .._types import Floats, Ints
 from ..core._addresses import NOWHERE_AT, address_of
 from ..core._views import as_compiled
+from ..core.cloud.blocks import blocks_of, centres
 from ..core.cloud.curve import along_curve, places
 from ..core.cloud.cycle import PARTS, Bounds, Standing
 from ..core.cloud.cycle import put_through as through
-from ..core.cloud.linearise import LINEARISE, centres, linearise, lower_and_rows
+from ..core.cloud.linearise import LINEARISE, linearise, lower_and_rows
 from ..core.cloud.maps import LINEARISE_MAP, MAPPED, linearise_map
 from ..core.cloud.move import MOVE, affine, move
 from ..core.cloud.noise import ADDITIVE, LANES, NORMAL, OF_STATE, mixed, stored
 from ..core.cloud.pace import Bias, Steps, chosen
 from ..core.cloud.reading import Reader
 from ..core.cloud.steps import BESIDE, BETWEEN, FLOW, NO_LEG, STIFF_FLOW, Leg
-from ..core.cloud.way import AGAIN, FIRST, KERNEL, begin, blocks_of, carry, carry_linear, everywhere
+from ..core.cloud.way import AGAIN, FIRST, KERNEL, begin, carry, carry_linear, everywhere
 from ..model.compile import surfacing
 from ..model.discrete import DiscreteModel
 from ..model.discretization import linear_transition

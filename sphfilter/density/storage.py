@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._version import __version__
+from ..core.cloud.blocks import blocks_of
 from ..core.cloud.pace import Bias
-from ..core.cloud.way import blocks_of
 from ..core.field.fitting import build_field
 from ..core.field.stencils import stencils
 from ..errors import ModelError

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from .._types import Floats, Ints
+from ..core.cloud.blocks import blocks_of, centres
 from ..core.cloud.guide import look_ahead, over_both
-from ..core.cloud.linearise import centres
 from ..core.cloud.reading import WIDER
-from ..core.cloud.way import blocks_of
 from ..core.cloud.weights import effective, normalise
 from ..core.limits import TINY
 from ..density.passage import LED, along, gone, normals, relinearised, stored_key, sub_key

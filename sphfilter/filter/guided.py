@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import Floats, Ints
+from ..core.cloud.blocks import steered
 from ..core.cloud.cycle import FEW
-from ..core.cloud.guide import look_ahead, over_both, spread
+from ..core.cloud.guide import look_ahead, over_both
 from ..core.cloud.reading import GUIDE, OWN, PARTS, WIDER, Part, weigh
 from ..core.cloud.steps import NO_LEG
 from ..core.cloud.weights import effective, prior_times
@@ -155,5 +156,5 @@ def _led(rows: Floats, block: Ints, u: Floats, parts: int, key: Any) -> list[Flo
     """What moves the points in each passage, (N, n) each, such that together it moves their ends by u."""
     count, n = u.shape
     U = np.concatenate([columns(v) for v in normals(count, n, key, parts, PARTS)])
-    spread(rows, block, columns(u), U)
+    steered(rows, block, columns(u), U)
     return [U[k * n : (k + 1) * n].T for k in range(parts)]

@@ -232,7 +232,7 @@ def seen(
     what linearity misses.
     """
     first, rows, whole = passages[0], None, u[0]
-    start, end, flow, lower = first.start, passages[-1].end, first.flow, first.lower
+    end, flow, lower = passages[-1].end, first.flow, first.lower
     if len(passages) > 1:
         for p in passages[1:]:
             flow, lower = joined(flow, lower, p.flow, p.lower)
@@ -240,7 +240,7 @@ def seen(
         whole = along_rows(rows, block, np.concatenate([columns(v) for v in u])).T
     begun, moved = columns(x), columns(whole)
     r = sensor.residual(sensor.predict(without_noise(columns(y), begun, moved, lower, flow, block).T))
-    about = start, flow, lower, as_compiled(sensor.jacobian(end)), sensor.covariance(end), sensor.angle
+    about = flow, lower, as_compiled(sensor.jacobian(end)), sensor.covariance(end), sensor.angle
     HL, R = linear_reading(columns(h), begun, moved, w, block, *about, wider, misses)
     return Seen(rows, whole, HL, r, R)
 

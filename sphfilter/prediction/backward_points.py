@@ -10,9 +10,8 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.cloud.ahead import LEAST, expected, fitted, led
-from ..core.cloud.linearise import block_roots, centres
+from ..core.cloud.blocks import block_roots, blocks_of, centres
 from ..core.cloud.pace import Steps
-from ..core.cloud.way import blocks_of
 from ..density.passage import Transitions, along, stored_key
 from ..density.points import columns
 from ..density.quasi_random import even, systematic

@@ -5,13 +5,13 @@ import pytest
 from scipy import stats
 
 import sphfilter as sf
+from sphfilter.core.cloud.blocks import blocks_of, steered
 from sphfilter.core.cloud.curve import along_curve, places
-from sphfilter.core.cloud.guide import look_ahead, spread
+from sphfilter.core.cloud.guide import look_ahead
 from sphfilter.core.cloud.linearise import linearise, lower_and_rows, widths
 from sphfilter.core.cloud.move import move
 from sphfilter.core.cloud.noise import ADDITIVE, LANES, even_normals, fill_noise, rotation
 from sphfilter.core.cloud.pace import moved_twice
-from sphfilter.core.cloud.way import blocks_of
 from sphfilter.core.cloud.weights import compared, systematic
 from sphfilter.density.passage import leg_of, points_of_sample
 from sphfilter.density.points import Points, columns
@@ -159,7 +159,7 @@ def test_whatever_is_steered_the_law_of_the_noise_stays():
     rows = np.linalg.qr(np.random.default_rng(1).standard_normal((8, 3)))[0].T[None]
     U = np.random.default_rng(2).standard_normal((8, 40_000))
     u = np.random.default_rng(3).standard_normal((3, 40_000))
-    spread(np.ascontiguousarray(rows), np.zeros(40_000, np.int64), u, U)
+    steered(np.ascontiguousarray(rows), np.zeros(40_000, np.int64), u, U)
     np.testing.assert_allclose(rows[0] @ U, u, atol=1e-12)
     np.testing.assert_allclose(U @ U.T / 40_000, np.eye(8), atol=0.03)
 

@@ -114,8 +114,8 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
     the guide, the begin and the motion, of the cloud and of its shadow; `curve` is a table and its bits.
     Returns how the record ends, how many readings are done, the values of a `Standing` after the last of
     them and before it, and of each reading mean and covariance before and after it, the log-evidence and
-    its error, the errors of the mean and the variances, the innovation with its covariance, and whether it
-    or its prediction is flagged.
+    its error, the errors of the mean and the variances, the innovation with its covariance where h is a
+    function, and whether it or its prediction is flagged.
     """
     (leg, stiff_flow, changes), (reader, Z), (times, least) = motion, sensor, spans
     (K, k), (n, count) = Z.shape, nets[0][0].shape
@@ -138,12 +138,11 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         if not (one.usual and two.usual and error[j] == error[j]):
             end = UNUSUAL
             break
-        _keep(one.mean, one.cov, m, P, j)
-        _keep(one.found[4], one.found[5], x, C, j)
+        m[j], P[j], x[j], C[j] = one.mean, one.cov, one.found[4], one.found[5]
         evidence[j] = one.found[3]
         unsure[j] = evidence_error(squares[2], one.found[8], count, n)
-        away, spread = foreseen(about[3], one.y, one.w, one.mean, one.cov)
-        _keep(away, spread, off, S, j)
+        if reader.h != NOWHERE_AT:  # of a linear sensor the moments say it
+            off[j], S[j] = foreseen(about[3], one.y, one.w, one.mean)
         doubt = 2.0 * error_by(squares[1])
         flagged[j] = not both(ahead, bias.mean) < bounds.unresolved or error[j] > bounds.flagged
         flagged[j] |= doubt > wrong_beside(bounds.flagged)
@@ -171,15 +170,6 @@ def _bare(s):
     few = s.few_x, s.few_w, s.few_lineage
     told = s.size, s.mean, s.variance, s.log_evidence
     return (s.x, s.w, s.lineage, *few, *told, s.step, s.stiff, s.points, s.calm, s.age)
-
-
-@jit
-def _keep(v, A, rows, matrices, j):
-    """Fill row j of vectors and of matrices."""
-    for a in range(v.size):
-        rows[j, a] = v[a]
-        for b in range(v.size):
-            matrices[j, a, b] = A[a, b]
 
 
 @jit

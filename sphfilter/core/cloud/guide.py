@@ -9,13 +9,12 @@ import math
 import numpy as np
 
 from .._jit import jit
-from .._views import stretch
 from ..elementary import FAST
 from ..limits import LARGEST_EXPONENT, LOG_2_PI
 from ..small_matrices import cholesky, invert_lower, whiten
-from .linearise import end_of_block
+from .blocks import add_products, end_of_block, multiplied, squares
 from .noise import even_normals, uniform
-from .weights import summed, systematic, taken, white_squares
+from .weights import prior_times, summed, systematic, taken
 
 #: Neighbours to either side, that tell what the flow is without noise.
 NEAR = 2
@@ -28,23 +27,15 @@ def without_noise(y, x, u, L, Phi, block):
     What its own noise did must not tell it: the proposal's density at a point would depend on the draw that
     it is to weigh, and the evidence would be wrong however many points there are.
     """
-    (n, N), first = y.shape, 0
-    rest, out = np.empty(N), np.empty((n, N))
+    (n, N), first, out = y.shape, 0, np.zeros(y.shape)
+    add_products(out, 1.0, Phi, x, block)
+    rest = y - out
+    add_products(rest, -1.0, L, u, block)
     while first < N:
-        b, size = block[first], end_of_block(block, first) - first
+        last = end_of_block(block, first)
         for a in range(n):
-            own, end = stretch(out, a, first, size), stretch(y, a, first, size)
-            for i in range(size):
-                own[i], rest[i] = 0.0, end[i]
-            for e in range(n):
-                on, drawn = Phi[b, a, e], L[b, a, e]
-                begun, given = stretch(x, e, first, size), stretch(u, e, first, size)
-                for i in range(size):
-                    flowed = on * begun[i]
-                    own[i] += flowed
-                    rest[i] -= drawn * given[i] + flowed
-            _add_of_neighbours(rest, own)
-        first += size
+            _add_of_neighbours(rest[a, first:last], out[a, first:last])
+        first = last
     return out
 
 
@@ -70,39 +61,9 @@ def _add_of_neighbours(rest, out):
 @jit
 def along_rows(V, block, U):
     """What moves the end of each point, V u (n, N), of all that moves it, U (d, N)."""
-    (d, N), n, first = U.shape, V.shape[1], 0
-    out = np.zeros((n, N))
-    while first < N:
-        b, size = block[first], end_of_block(block, first) - first
-        for a in range(n):
-            own = stretch(out, a, first, size)
-            for k in range(d):
-                v, given = V[b, a, k], stretch(U, k, first, size)
-                for i in range(size):
-                    own[i] += v * given[i]
-        first += size
+    out = np.zeros((V.shape[1], block.size))
+    add_products(out, 1.0, V, U, block)
     return out
-
-
-@jit
-def spread(V, block, u, U):
-    """Change what moves each point, U (d, N), in place, by as little as makes it u (n, N) for the end."""
-    (d, N), n, first, missing = U.shape, V.shape[1], 0, np.empty(U.shape[1])
-    while first < N:
-        b, size = block[first], end_of_block(block, first) - first
-        for a in range(n):
-            wanted = stretch(u, a, first, size)
-            for i in range(size):
-                missing[i] = wanted[i]
-            for k in range(d):
-                v, own = V[b, a, k], stretch(U, k, first, size)
-                for i in range(size):
-                    missing[i] -= v * own[i]
-            for k in range(d):
-                v, own = V[b, a, k], stretch(U, k, first, size)
-                for i in range(size):
-                    own[i] += v * missing[i]
-        first += size
 
 
 @jit
@@ -130,76 +91,44 @@ def wrapped(r, angle):
 @jit
 def joined(Phi, G, flow, lower):
     """A linear change Φ x + G u and one after it, as one: Φ (blocks, n, n), G (blocks, n, d + n)."""
-    (nb, n, d), G = G.shape, G
-    new, whole = np.empty((nb, n, n)), np.empty((nb, n, d + n))
-    for b in range(nb):
-        for a in range(n):
-            for c in range(d):
-                s = 0.0
-                for e in range(n):
-                    s += flow[b, a, e] * G[b, e, c]
-                whole[b, a, c] = s
-            for c in range(n):
-                s = 0.0
-                for e in range(n):
-                    s += flow[b, a, e] * Phi[b, e, c]
-                new[b, a, c], whole[b, a, d + c] = s, lower[b, a, c]
-    return new, whole
+    d, whole = G.shape[2], np.empty((len(G), G.shape[1], G.shape[2] + G.shape[1]))
+    whole[:, :, :d], whole[:, :, d:] = multiplied(flow, G), lower
+    return multiplied(flow, Phi), whole
 
 
 @jit
-def linear_reading(hy, x, u, w, block, start, Phi, L, H, R, angle, wider, misses):
+def linear_reading(hy, x, u, w, block, Phi, L, H, R, angle, wider, misses):
     """What a reading sees of a way of points, linearised in blocks: HL (blocks, k, n), and the noise
     (blocks, k, k) that a guide takes.
 
     What linearity misses is half the mean square difference of neighbours' readings less their linear parts.
     Neighbours on the curve stand for the second derivatives of a block: what is the same for both cancels.
     The noise is `wider` times R and `misses` times what linearity misses; H and R are of one or all blocks,
-    hy (k, N) are readings of the ends, and x, u, w, block of N points, start, Phi, L of blocks are a way's.
+    hy (k, N) are readings of the ends, and x, u, w, block of N points, Phi, L of blocks are a way's.
     """
-    (k, N), n, nb = hy.shape, len(x), start.shape[0]
-    HL, HPhi = np.zeros((nb, k, n)), np.zeros((nb, k, n))
-    for b in range(nb):
-        own = b if len(H) > 1 else 0
+    (k, N), nb, HL = hy.shape, len(L), multiplied(H, L)
+    C, off, rest, total = np.zeros((k, k)), np.empty(k), hy.copy(), 0.0
+    add_products(rest, -1.0, HL, u, block)
+    add_products(rest, -1.0, multiplied(H, Phi), x, block)
+    for i in range(1, N):
+        finite, v = block[i] == block[i - 1], 0.5 * (w[i] + w[i - 1])
         for a in range(k):
-            for e in range(n):
-                for c in range(n):
-                    HL[b, a, c] += H[own, a, e] * L[b, e, c]
-                    HPhi[b, a, c] += H[own, a, e] * Phi[b, e, c]
-    C, off, rest, total, first = np.zeros((k, k)), np.empty(k), hy.copy(), 0.0, 0
-    while first < N:
-        b, end = block[first], end_of_block(block, first)
-        for a in range(k):
-            own = stretch(rest, a, first, end - first)
-            for e in range(n):
-                on, drawn, about = HPhi[b, a, e], HL[b, a, e], start[b, e]
-                begun, given = stretch(x, e, first, own.size), stretch(u, e, first, own.size)
-                for i in range(own.size):
-                    own[i] -= drawn * given[i] + on * (begun[i] - about)
-        for i in range(first + 1, end):
-            finite, v = True, 0.5 * (w[i] + w[i - 1])
-            for a in range(k):
-                off[a] = wrapped(rest[a, i] - rest[a, i - 1], angle[a])
-                finite &= abs(off[a]) < np.inf
-            total += v if finite else 0.0
-            for a in range(k if finite else 0):
-                for e in range(k):
-                    C[a, e] += 0.5 * v * off[a] * off[e]
-        first = end
-    noise = np.empty((nb, k, k))
-    for b in range(nb):
-        own = b if len(R) > 1 else 0
-        for a in range(k):
+            off[a] = wrapped(rest[a, i] - rest[a, i - 1], angle[a])
+            finite &= abs(off[a]) < np.inf
+        total += v if finite else 0.0
+        for a in range(k if finite else 0):
             for e in range(k):
-                noise[b, a, e] = wider * R[own, a, e] + (misses * C[a, e] / total if total > 0.0 else 0.0)
+                C[a, e] += 0.5 * v * off[a] * off[e]
+    noise = np.empty((nb, k, k))
+    noise[:] = wider * R + C * (misses / total if total > 0.0 else 0.0)
     return HL, noise
 
 
 @jit
 def log_normals(z, h, angle, F):
     """Logarithms (N,) of N(z; h, F Fᵀ) at readings h (k, N), angles wrapped; and how many are NaN."""
-    (k, N), wrong, peak, out = h.shape, 0, _log_peak(F), np.empty(h.shape[1])
-    white_squares(invert_lower(F), residuals(z, h, angle), np.zeros(k), 0, out)
+    (k, N), wrong, peak = h.shape, 0, _log_peak(F)
+    out = squares(invert_lower(F).reshape(1, k, k), residuals(z, h, angle), np.zeros(N, np.int64))
     for i in range(N):
         out[i] = peak - 0.5 * out[i]
         wrong += out[i] != out[i]
@@ -212,9 +141,7 @@ def residuals(z, h, angle):
     r = np.empty(h.shape)
     for a in range(z.size):
         for i in range(h.shape[1]):
-            r[a, i] = z[a] - h[a, i]
-        for i in range(h.shape[1] if angle[a] else 0):
-            r[a, i] = wrapped(r[a, i], True)
+            r[a, i] = wrapped(z[a] - h[a, i], angle[a])
     return r
 
 
@@ -281,87 +208,45 @@ def look_ahead(r, u, w, block, HL, R, net, key):
     (k, N), (n, count), blocks = r.shape, net.shape, HL.shape[0]
     z, cut = even_normals(net, key), uniform(key, np.uint64(0))
     K, T, S, L = np.zeros((blocks, n, k)), np.zeros((blocks, n, n)), np.empty((k, k)), np.empty((k, k))
-    of_S, of_R, fine = np.zeros((blocks, k, k)), np.zeros((blocks, k, k)), np.zeros(blocks, np.bool_)
-    peak_S, peak_R = np.empty(blocks), np.empty(blocks)
+    of_S, of_R = np.zeros((blocks, k, k)), np.zeros((blocks, k, k))
+    peak_S, peak_R = np.full(blocks, -np.inf), np.full(blocks, -np.inf)
     for b in range(blocks):
-        fine[b] = _gain(HL[b], R[b], S, K[b], T[b]) and cholesky(S, L)
-        peak_S[b] = _inverse(L, of_S[b])
-        fine[b] = fine[b] and cholesky(R[b], L)
-        peak_R[b] = _inverse(L, of_R[b])
-    a, top = _ahead(r, w, block, of_S, peak_S, fine)
-    log_ratio, new = np.empty(N + count), np.zeros((n, count))
+        if _gain(HL[b], R[b], S, K[b], T[b]) and cholesky(S, L) and cholesky(R[b], S):
+            peak_S[b], peak_R[b] = _inverse(L, of_S[b]), _inverse(S, of_R[b])
+    a = prior_times(w, _said(r, block, of_S, peak_S))
+    top, log_ratio, new = a.max(), np.empty(N + count), np.zeros((n, count))
     if top == -np.inf:
         return np.empty(0, np.int64), new, log_ratio
     for i in range(N):
         a[i] = FAST.exp(a[i] - top)
     total = summed(a)
     ancestor, known = systematic(a, count, cut), top + math.log(total)
-    _ratios(r, u, block, HL, of_R, peak_R, fine, known, log_ratio[:N])
-    r, block, first = taken(r, ancestor), block[ancestor], 0
-    while first < count:
-        b, size = block[first], end_of_block(block, first) - first
-        for c in range(n):
-            own = stretch(new, c, first, size)
-            for e in range(k):
-                on, off = K[b, c, e], stretch(r, e, first, size)
-                for i in range(size):
-                    own[i] += on * off[i]
-            for e in range(c + 1):
-                on, given = T[b, c, e], stretch(z, e, first, size)
-                for i in range(size):
-                    own[i] += on * given[i]
-        first += size
-    _ratios(r, new, block, HL, of_R, peak_R, fine, known, log_ratio[N:])
+    rest = r.copy()
+    add_products(rest, -1.0, HL, u, block)
+    log_ratio[:N] = _said(rest, block, of_R, peak_R) - known
+    rest, block = taken(r, ancestor), block[ancestor]
+    add_products(new, 1.0, K, rest, block)
+    add_products(new, 1.0, T, z, block)
+    add_products(rest, -1.0, HL, new, block)
+    log_ratio[N:] = _said(rest, block, of_R, peak_R) - known
     return ancestor, new, log_ratio
 
 
 @jit
 def _inverse(F, out):
     """Fill the inverse of a lower F (k, k); return the logarithm of N(0; 0, F Fᵀ)."""
-    white = invert_lower(F)
-    for a in range(len(F)):
-        for e in range(len(F)):
-            out[a, e] = white[a, e]
+    out[:] = invert_lower(F)
     return _log_peak(F)
 
 
 @jit
-def _ahead(r, w, block, white, peak, fine):
-    """Logarithms (N,) of weights w times what a guide says of residuals r (k, N); and their largest."""
-    N, top, before, log_w, first = w.size, -np.inf, 0.0, 0.0, 0
-    a, zero = np.full(N, -np.inf), np.zeros(len(r))
-    while first < N:
-        b, end = block[first], end_of_block(block, first)
-        if fine[b]:
-            own = a[first:end]
-            white_squares(white[b], r, zero, first, own)
-            for i in range(own.size):
-                heavy = w[first + i]
-                if heavy != before and heavy > 0.0:  # most are the same
-                    before, log_w = heavy, math.log(heavy)
-                s = peak[b] - 0.5 * own[i] + log_w
-                own[i] = s if heavy > 0.0 and abs(s) < np.inf else -np.inf
-                top = max(top, own[i])
-        first = end
-    return a, top
+def _said(r, block, white, peak):
+    """Logarithms (N,) of N(r; 0, F Fᵀ) of residuals r (k, N), by white = F⁻¹ and the peak of each block.
 
-
-@jit
-def _ratios(r, u, block, HL, white, peak, fine, known, out):
-    """Fill logarithms (M,) of the proposal's density over the prior's, of points of r (k, M) and u (n, M)."""
-    (n, M), (k, _), first, rest = u.shape, r.shape, 0, r.copy()
-    zero = np.zeros(k)
-    while first < M:
-        b, end = block[first], end_of_block(block, first)
-        own = out[first:end]
-        for c in range(k):
-            left = stretch(rest, c, first, own.size)
-            for e in range(n):
-                on, given = HL[b, c, e], stretch(u, e, first, own.size)
-                for i in range(own.size):
-                    left[i] -= on * given[i]
-        white_squares(white[b], rest, zero, first, own)
-        for i in range(own.size):  # else it was never proposed: h has no value where the guide looked
-            s = peak[b] - 0.5 * own[i] - known
-            own[i] = s if fine[b] and abs(s) < np.inf else -np.inf
-        first = end
+    -inf where there is no F, or no value: h has none where the guide looked, and nothing was proposed.
+    """
+    out = squares(white, r, block)
+    for i in range(block.size):
+        s = peak[block[i]] - 0.5 * out[i]
+        out[i] = s if abs(s) < np.inf else -np.inf
+    return out

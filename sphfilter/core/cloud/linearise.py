@@ -12,70 +12,13 @@ from numba import types
 from .._addresses import Entry, function_at
 from .._jit import MATRIX, jit, sums_jit
 from .._views import rows_at, stretch
-from ..limits import LOOK, ROUNDING
+from ..limits import ROUNDING
 from ..small_matrices import product
+from .blocks import block_size
 from .noise import OF_STATE
 from .steps import CUBE, LEG, flow, new_room, scaled, times_root
 
 _TERMS = 4  # of an exponential at half a norm, (1/2)⁴ / 4! = 2.6e-3 of what only guides is left out
-
-
-@jit
-def block_size(N):
-    """Points in a block of a cloud of N: they tell directions, and so few blocks cost a tenth."""
-    return max(LOOK, -(-N // LOOK))
-
-
-@jit
-def end_of_block(block, first):
-    """Number after the last of the points that are in the block of one; `block` (N,) never decreases."""
-    end = first + 1
-    while end < block.size and block[end] == block[first]:
-        end += 1
-    return end
-
-
-@sums_jit
-def centres(x):
-    """Means (blocks, n) of blocks of consecutive points of x (n, N)."""
-    n, N = x.shape
-    size = block_size(N)
-    c = np.empty((-(-N // size), n))
-    for b in range(c.shape[0]):
-        K = min(size, N - b * size)
-        for a in range(n):
-            own, s = stretch(x, a, b * size, K), 0.0
-            for i in range(K):
-                s += own[i]
-            c[b, a] = s / K
-    return c
-
-
-@sums_jit
-def block_roots(x):
-    """Lower roots (blocks, n, n) of the covariances of blocks of consecutive points of x (n, N)."""
-    n, N = x.shape
-    size, c = block_size(N), centres(x)
-    L, S = np.zeros((c.shape[0], n, n)), np.empty((n, n))
-    for b in range(c.shape[0]):
-        K = min(size, N - b * size)
-        for a in range(n):
-            own, about = stretch(x, a, b * size, K), c[b, a]
-            for e in range(a + 1):
-                other, middle, s = stretch(x, e, b * size, K), c[b, e], 0.0
-                for i in range(K):
-                    s += (own[i] - about) * (other[i] - middle)
-                S[a, e] = S[e, a] = s / K
-        for a in range(n):
-            for e in range(a + 1):
-                s = S[a, e]
-                for k in range(e):
-                    s -= L[b, a, k] * L[b, e, k]
-                if a == e:
-                    L[b, a, a] = math.sqrt(s) if s > ROUNDING * S[a, a] else 0.0
-                else:
-                    L[b, a, e] = s / L[b, e, e] if L[b, e, e] > 0.0 else 0.0
-    return L
 
 
 @sums_jit
@@ -120,20 +63,6 @@ def widths(x, lineage, power):
         ratio = min(max((ratio - chance) / max(1.0 - chance, 1e-9), 0.0), 1.0) if lineages < K else 0.0
         out[b] = min(math.sqrt(max(K**-power, ratio * lineages**-power)), 1.0)
     return out
-
-
-@jit
-def shrunk(x, c, part):
-    """Points of x (n, N) drawn to the centres c (blocks, n) of their blocks, to a part (blocks,)."""
-    n, N = x.shape
-    size, y = block_size(N), np.empty((n, N))
-    for b in range(len(c)):
-        K = min(size, N - b * size)
-        for a in range(n):
-            own, drawn, about = stretch(x, a, b * size, K), stretch(y, a, b * size, K), c[b, a]
-            for i in range(K):
-                drawn[i] = about + part[b] * (own[i] - about)
-    return y
 
 
 @jit

@@ -6,59 +6,19 @@ from numba import types
 from .._addresses import Entry
 from .._jit import MATRIX, jit
 from .._views import stretch
-from .linearise import end_of_block
+from .blocks import about, add_products, multiplied, steered
 from .noise import LANES, fill_noise
 from .steps import CUBE, LEG, new_room, walk
 
 
 @jit
-def steer(V, block, u, W, along):
-    """Make increments W (d, LANES) such that V W is u (n, LANES), and the rest of it what it was.
-
-    V is (blocks, n, d). The K points of a chunk are in the order of their blocks, `block` (K,).
-    """
-    (_, n, d), K, begin = V.shape, block.size, 0
-    while begin < K:
-        b, end = block[begin], end_of_block(block, begin)
-        size = end - begin
-        for a in range(n):
-            wanted = stretch(u, a, begin, size)
-            for i in range(size):
-                along[a, i] = wanted[i]
-        for k in range(d):
-            w = stretch(W, k, begin, size)
-            for a in range(n):
-                v = V[b, a, k]
-                if v != 0.0:
-                    for i in range(size):
-                        along[a, i] -= v * w[i]
-        for k in range(d):
-            w = stretch(W, k, begin, size)
-            for a in range(n):
-                v = V[b, a, k]
-                if v != 0.0:
-                    for i in range(size):
-                        w[i] += v * along[a, i]
-        begin = end
-
-
-@jit
 def affine(x, u, block, start, end, flow, lower):
     """Points (n, N) end + Φ (x - start) + L u of their blocks."""
-    (n, N), first = x.shape, 0
-    y = np.empty((n, N))
-    while first < N:
-        b, size = block[first], end_of_block(block, first) - first
-        for a in range(n):
-            to, middle = stretch(y, a, first, size), end[b, a]
-            for i in range(size):
-                to[i] = middle
-            for e in range(n):
-                on, drawn, about = flow[b, a, e], lower[b, a, e], start[b, e]
-                begun, given = stretch(x, e, first, size), stretch(u, e, first, size)
-                for i in range(size):
-                    to[i] += on * (begun[i] - about) + drawn * given[i]
-        first += size
+    (blocks, n), y = start.shape, np.zeros(x.shape)
+    flowed = multiplied(flow, start.copy().reshape(blocks, n, 1)).reshape(blocks, n)
+    y = about(flowed - end, y, block)
+    add_products(y, 1.0, flow, x, block)
+    add_products(y, 1.0, lower, u, block)
     return y
 
 
@@ -68,14 +28,14 @@ def move_chunk(leg, c, x, u, V, block, Z, room):
 
     `room` is that of `chunk_room`.
     """
-    (n, N), (given, along, rows, work) = x.shape, room
+    (n, N), (given, rows, work) = x.shape, room
     begin, end = c * LANES, min((c + 1) * LANES, N)
     K = end - begin
     for a in range(n):
         moving, moved_by = stretch(x, a, begin, K), stretch(u, a, begin, K)
         for i in range(K):
             given[a, i], rows[i, a] = moved_by[i], moving[i]
-    steer(V, block[begin:end], given, Z[0], along)
+    steered(V, block[begin:end], given, Z[0])
     walk(leg, rows[:K], Z, c % 2 == 1, work)
     for a in range(n):
         moving = stretch(x, a, begin, K)
@@ -86,7 +46,7 @@ def move_chunk(leg, c, x, u, V, block, Z, room):
 @jit
 def chunk_room(n, m):
     """Scratch for a chunk of points in n dimensions with m noises."""
-    return np.empty((n, LANES)), np.empty((n, LANES)), np.empty((LANES, n)), new_room(m)
+    return np.empty((n, LANES)), np.empty((LANES, n)), new_room(m)
 
 
 @jit

@@ -12,6 +12,7 @@ from numba import types
 from .._addresses import ADDRESS, NOWHERE_AT, function_at
 from .._jit import MATRIX, VECTOR, jit
 from ..limits import ALIKE, DIFFERENCE
+from .blocks import add_products, steered
 from .guide import (
     NEAR,
     along_rows,
@@ -21,7 +22,6 @@ from .guide import (
     look_ahead,
     over_both,
     residuals,
-    spread,
     without_noise,
     wrapped,
 )
@@ -86,50 +86,28 @@ def _read(reader, x):
         function_at(reader.h)(turned(x), reader.t, reader.p, rows)
         return turned(rows)
     out = np.zeros((k, N))
-    for a in range(k):
-        for e in range(n):
-            on = reader.H[a, e]
-            for i in range(N):
-                out[a, i] += on * x[e, i]
+    add_products(out, 1.0, reader.H.copy().reshape(1, k, n), x, np.zeros(N, np.int64))
     return out
 
 
 @jit
-def foreseen(reader, x, w, mean, cov):
-    """Innovation (k,) of a reading, and its covariance (k, k).
+def foreseen(reader, x, w, mean):
+    """Innovation (k,) of a reading by a function h, and its covariance (k, k).
 
-    Of points x (n, N) of weights w (N,), a mean and a covariance. Angles are averaged around the reading of
-    the mean.
+    Of points x (n, N) of weights w (N,) and a mean. Angles are averaged around the reading of the mean.
     """
-    k, n = reader.z.size, mean.size
-    off, S, HP = np.zeros(k), np.empty((k, k)), np.empty((k, n))
-    expected = _read(reader, mean.copy().reshape((n, 1)))
-    if reader.h == NOWHERE_AT and not reader.angle.any():
-        for a in range(k):
-            for e in range(n):
-                HP[a, e] = _along(reader.H, a, cov, e)
-            for b in range(k):
-                S[a, b] = _along(HP, a, reader.H, b)
-    else:
-        h = _read(reader, x)
-        for a in range(k):
-            for i in range(w.size):
-                h[a, i] = wrapped(h[a, i] - expected[a, 0], reader.angle[a])
-        weighted_moments(h, w, off, S)
+    k = reader.z.size
+    off, S = np.zeros(k), np.empty((k, k))
+    expected, h = _read(reader, mean.copy().reshape((-1, 1))), _read(reader, x)
+    for a in range(k):
+        for i in range(w.size):
+            h[a, i] = wrapped(h[a, i] - expected[a, 0], reader.angle[a])
+    weighted_moments(h, w, off, S)
     for a in range(k):
         off[a] = wrapped(reader.z[a] - (expected[a, 0] + off[a]), reader.angle[a])
         for b in range(k):
             S[a, b] += reader.R[a, b]
     return off, S
-
-
-@jit
-def _along(A, a, B, b):
-    """Product of a row of A and a row of B."""
-    s = 0.0
-    for e in range(A.shape[1]):
-        s += A[a, e] * B[b, e]
-    return s
 
 
 @jit
@@ -194,9 +172,7 @@ def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, net
     whole = along_rows(rows, block, np.concatenate((u, v)))
     r = residuals(reader.z, _read(reader, without_noise(y, x, whole, lower, flow, block)), reader.angle)
     H, R = _slopes(reader, moved.end), reader.R.copy().reshape((1, reader.z.size, reader.z.size))
-    HL, R = linear_reading(
-        h, x, whole, w, block, kernel.start, flow, lower, H, R, reader.angle, WIDER, WIDER * OWN
-    )
+    HL, R = linear_reading(h, x, whole, w, block, flow, lower, H, R, reader.angle, WIDER, WIDER * OWN)
     ancestor, new, log_ratio = look_ahead(r, whole, w, block, HL, R, nets[0], own)
     if ancestor.size == 0:
         return y, log_w, alone, wrong
@@ -204,7 +180,7 @@ def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, net
     u = even_normals(nets[1], np.uint64(stored(own, PARTS)))
     v = even_normals(nets[2], np.uint64(stored(own, PARTS + 1)))
     U = np.concatenate((u, v))
-    spread(rows, block, new, U)
+    steered(rows, block, new, U)
     u, v = U[:n], U[n:]
     end = affine(end, u, block, kernel.start, kernel.end, kernel.flow, kernel.lower)
     if linear:

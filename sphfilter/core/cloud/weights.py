@@ -9,6 +9,7 @@ from .._views import stretch
 from ..elementary import FAST
 from ..limits import LITTLE, LOOK, ROUNDING, TINY
 from ..small_matrices import cholesky, invert_lower, whiten
+from .blocks import about, squares
 from .noise import LANES
 
 AWAY = 1.0 / ROUNDING  # extents, from which a point has run away: AWAY² = 1 / eps leaves others no digit
@@ -42,26 +43,6 @@ def weighted_moments(X, w, mean, cov):
     for a in range(n):
         for b in range(a):
             cov[b, a] = cov[a, b]
-
-
-@jit
-def white_squares(white, x, centre, first, out):
-    """Fill out (K,) with squares of the lengths of W (x - centre), of points of x (n, N) from one on.
-
-    W (n, n) is lower triangular.
-    """
-    for i in range(out.size):
-        out[i] = 0.0
-    along = np.empty(out.size)
-    for a in range(len(x)):
-        for i in range(out.size):
-            along[i] = 0.0
-        for b in range(a + 1):
-            own, on, about = stretch(x, b, first, out.size), white[a, b], centre[b]
-            for i in range(out.size):
-                along[i] += on * (own[i] - about)
-        for i in range(out.size):
-            out[i] += along[i] * along[i]
 
 
 @jit
@@ -230,11 +211,9 @@ def carriers(x, log_w, ancestor, older):
     log_evidence = normalise(log_w, w)
     if not abs(log_evidence) < np.inf:
         return x, w, _lines(ancestor, older), -np.inf, mean, cov, 0.0, 0.0, 0.0
-    heavy = 0
-    for i in range(N):
-        heavy += w[i] > 0.0
-    if heavy < N:
-        x, w, ancestor = _heavy(x, w, ancestor, heavy)
+    heavy = np.flatnonzero(w > 0.0)
+    if heavy.size < N:
+        x, w, ancestor = taken(x, heavy), w[heavy], ancestor[heavy]
     weighted_moments(x, w, mean, cov)
     added, member = _added(x, w, ancestor, mean)
     squares, part = _squares(added, cov)
@@ -287,17 +266,6 @@ def of_points(lines, number):
 
 
 @jit
-def _heavy(x, w, ancestor, count):
-    """The points, so many, that weigh anything, their weights and ancestors."""
-    number, j = np.empty(count, np.int64), 0
-    for i in range(w.size):
-        if w[i] > 0.0:
-            number[j] = i
-            j += 1
-    return taken(x, number), w[number], ancestor[number]
-
-
-@jit
 def taken(x, number):
     """Points (n, M) of x (n, N), by their number (M,)."""
     y = np.empty((len(x), number.size))
@@ -313,11 +281,11 @@ def beside(x, y):
     (n, N), M = x.shape, y.shape[1]
     out = np.empty((n, N + M))
     for a in range(n):
+        first, last = stretch(out, a, 0, N), stretch(out, a, N, M)
         for i in range(N):
-            out[a, i] = x[a, i]
-        more = stretch(out, a, N, M)
+            first[i] = x[a, i]
         for i in range(M):
-            more[i] = y[a, i]
+            last[i] = y[a, i]
     return out
 
 
@@ -461,10 +429,10 @@ def for_moments(x, w, mean, cov, count, shift):
     weighs as much less: mean and covariance hang on it so much more, and so may what is read next. That makes
     no more than one draw of any, as copies know no more than it does.
     """
-    (n, N), by = x.shape, w.copy()
-    L, square = np.empty((n, n)), np.empty(N)
+    (n, N), by, L = x.shape, w.copy(), np.empty(cov.shape)
     if cholesky(cov, L):
-        white_squares(invert_lower(L), x, mean, 0, square)
+        one = np.zeros(N, np.int64)
+        square = squares(invert_lower(L).reshape(1, n, n), about(mean.reshape(1, n), x, one), one)
         for i in range(N):
             more = w[i] * square[i] / n
             by[i] += more / (1.0 + count * more)

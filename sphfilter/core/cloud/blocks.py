@@ -1,0 +1,146 @@
+"""Blocks of neighbouring points, each of which has matrices of its own.
+
+Letters: x (n, N) points as columns, block (N,) the number of each one's block, which never decreases.
+"""
+
+import math
+
+import numpy as np
+
+from .._jit import jit, sums_jit
+from .._views import stretch
+from ..limits import LOOK, ROUNDING
+
+
+@jit
+def block_size(N):
+    """Points in a block of a cloud of N: they tell directions, and so few blocks cost a tenth."""
+    return max(LOOK, -(-N // LOOK))
+
+
+@jit
+def blocks_of(count):
+    """Numbers (count,) of the blocks of as many points."""
+    out, size = np.empty(count, np.int64), block_size(count)
+    for b in range(-(-count // size)):
+        out[b * size : (b + 1) * size] = b
+    return out
+
+
+@jit
+def end_of_block(block, first):
+    """Number after the last of the points that are in the block of one."""
+    end = first + 1
+    while end < block.size and block[end] == block[first]:
+        end += 1
+    return end
+
+
+@sums_jit
+def centres(x):
+    """Means (blocks, n) of blocks of consecutive points of x (n, N)."""
+    n, N = x.shape
+    size = block_size(N)
+    c = np.empty((-(-N // size), n))
+    for b in range(c.shape[0]):
+        K = min(size, N - b * size)
+        for a in range(n):
+            own, s = stretch(x, a, b * size, K), 0.0
+            for i in range(K):
+                s += own[i]
+            c[b, a] = s / K
+    return c
+
+
+@sums_jit
+def block_roots(x):
+    """Lower roots (blocks, n, n) of the covariances of blocks of consecutive points of x (n, N)."""
+    n, N = x.shape
+    size, c = block_size(N), centres(x)
+    L, S = np.zeros((c.shape[0], n, n)), np.empty((n, n))
+    for b in range(c.shape[0]):
+        K = min(size, N - b * size)
+        for a in range(n):
+            own, about = stretch(x, a, b * size, K), c[b, a]
+            for e in range(a + 1):
+                other, middle, s = stretch(x, e, b * size, K), c[b, e], 0.0
+                for i in range(K):
+                    s += (own[i] - about) * (other[i] - middle)
+                S[a, e] = S[e, a] = s / K
+        for a in range(n):
+            for e in range(a + 1):
+                s = S[a, e]
+                for k in range(e):
+                    s -= L[b, a, k] * L[b, e, k]
+                if a == e:
+                    L[b, a, a] = math.sqrt(s) if s > ROUNDING * S[a, a] else 0.0
+                else:
+                    L[b, a, e] = s / L[b, e, e] if L[b, e, e] > 0.0 else 0.0
+    return L
+
+
+@jit
+def about(c, x, block):
+    """Points x (n, N) from the centres c (blocks, n) of their blocks."""
+    out, first = np.empty(x.shape), 0
+    while first < block.size:
+        b, size = block[first], end_of_block(block, first) - first
+        for a in range(len(x)):
+            own, given, middle = stretch(out, a, first, size), stretch(x, a, first, size), c[b, a]
+            for i in range(size):
+                own[i] = given[i] - middle
+        first += size
+    return out
+
+
+@jit
+def add_products(out, factor, A, x, block, turned=False):
+    """Add so many times A x of each point's block to out (m, N or more), A (blocks, m, n), x (n, N or more).
+
+    A may be `turned`, its rows for its columns.
+    """
+    first = 0
+    while first < block.size:
+        b, size = block[first], end_of_block(block, first) - first
+        for a in range(len(out)):
+            own = stretch(out, a, first, size)
+            for e in range(len(x)):
+                on, given = factor * (A[b, e, a] if turned else A[b, a, e]), stretch(x, e, first, size)
+                for i in range(size):
+                    own[i] += on * given[i]
+        first += size
+
+
+@jit
+def squares(A, x, block):
+    """Squares (N,) of the lengths of A x of each point's block, A (blocks, m, n) and x (n, N)."""
+    y, out = np.zeros((A.shape[1], block.size)), np.zeros(block.size)
+    add_products(y, 1.0, A, x, block)
+    for a in range(len(y)):
+        for i in range(block.size):
+            out[i] += y[a, i] * y[a, i]
+    return out
+
+
+@jit
+def steered(V, block, u, W):
+    """Change W (d, N or more) in place by as little as makes V W u (n, N or more), rows of V orthonormal.
+
+    V is (blocks, n, d): of noise W of all steps of each point, V W moves its end.
+    """
+    missing = u.copy()
+    add_products(missing, -1.0, V, W, block)
+    add_products(W, 1.0, V, missing, block, True)
+
+
+@jit
+def multiplied(A, B):
+    """Products (blocks, m, d) of matrices A (blocks or 1, m, n) and B (blocks, n, d)."""
+    out = np.zeros((len(B), A.shape[1], B.shape[2]))
+    for b in range(len(B)):
+        own = A[b if len(A) > 1 else 0]
+        for a in range(out.shape[1]):
+            for e in range(A.shape[2]):
+                for c in range(out.shape[2]):
+                    out[b, a, c] += own[a, e] * B[b, e, c]
+    return out
