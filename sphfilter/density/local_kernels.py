@@ -64,7 +64,7 @@ class LocalKernels:
         """Terms of every kernel for compiled sums: made once, for questions of one state after the other."""
         P = np.linalg.inv(self.root)
         size = np.linalg.slogdet(P)[1] - np.linalg.slogdet(np.sqrt(2.0 * np.pi) * self.factor)[1]
-        middle = np.einsum("kab,kb->ak", P, self.z)
+        middle = np.ascontiguousarray(np.einsum("kab,kb->ak", P, self.z))
         return np.log(self.mass) + size, middle, np.ascontiguousarray(np.moveaxis(P, 0, -1))
 
 

@@ -240,7 +240,7 @@ def seen(
         whole = along_rows(rows, block, np.concatenate([columns(v) for v in u])).T
     begun, moved = columns(x), columns(whole)
     r = sensor.residual(sensor.predict(without_noise(columns(y), begun, moved, lower, flow, block).T))
-    about = flow, lower, as_compiled(sensor.jacobian(end)), sensor.covariance(end), sensor.angle
+    about = flow, lower, *map(as_compiled, (sensor.jacobian(end), sensor.covariance(end))), sensor.angle
     HL, R = linear_reading(columns(h), begun, moved, w, block, *about, wider, misses)
     return Seen(rows, whole, HL, r, R)
 

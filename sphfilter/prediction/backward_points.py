@@ -134,10 +134,10 @@ def _looked_at(ends: tuple[Floats, Floats, Ints], later: Said) -> tuple[tuple[Fl
     end, lower, block = ends
     (N, n), noise = end.shape, _of_blocks(_squares(lower), block)
     centre, cov, own = centres(columns(end)), _squares(block_roots(columns(end))) + noise, rooted(noise)
-    fits = np.empty((len(centre), 1 + n + n * n))
-    fitted(later.x, later.w, later.values, centre, rooted(cov), fits)
+    fits, x = np.empty((len(centre), 1 + n + n * n)), np.ascontiguousarray(later.x)
+    fitted(x, later.w, later.values, centre, rooted(cov), fits)
     centre, cov = _shifted(centre, cov, own, fits)
-    fitted(later.x, later.w, later.values, centre, rooted(cov), fits)
+    fitted(x, later.w, later.values, centre, rooted(cov), fits)
     _bounded(own, fits)
     values = np.empty(N)
     expected(end, lower, block, (centre, fits), values)
