@@ -66,12 +66,6 @@ def jit(function):
     return njit(_named_for_the_cache(function), **options)
 
 
-def sums_jit(function):
-    """As `jit`; sums may be taken in any order, as vector instructions want it."""
-    options = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-    return njit(_named_for_the_cache(function), fastmath={"reassoc", "nsz", "contract"}, **options)
-
-
 def parallel_jit(function):
     """As `jit`, with ``prange`` loops spread over threads. Each iteration must write only its own row.
 

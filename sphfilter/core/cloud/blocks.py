@@ -7,9 +7,10 @@ import math
 
 import numpy as np
 
-from .._jit import jit, sums_jit
+from .._jit import jit
 from .._views import stretch
 from ..limits import LOOK, ROUNDING
+from ..sums import dot, summed
 
 
 @jit
@@ -36,7 +37,7 @@ def end_of_block(block, first):
     return end
 
 
-@sums_jit
+@jit
 def centres(x):
     """Means (blocks, n) of blocks of consecutive points of x (n, N)."""
     n, N = x.shape
@@ -45,28 +46,24 @@ def centres(x):
     for b in range(c.shape[0]):
         K = min(size, N - b * size)
         for a in range(n):
-            own, s = stretch(x, a, b * size, K), 0.0
-            for i in range(K):
-                s += own[i]
-            c[b, a] = s / K
+            c[b, a] = summed(stretch(x, a, b * size, K)) / K
     return c
 
 
-@sums_jit
+@jit
 def block_roots(x):
     """Lower roots (blocks, n, n) of the covariances of blocks of consecutive points of x (n, N)."""
     n, N = x.shape
     size, c = block_size(N), centres(x)
-    L, S = np.zeros((c.shape[0], n, n)), np.empty((n, n))
+    L, S, off = np.zeros((c.shape[0], n, n)), np.empty((n, n)), np.empty((n, size))
     for b in range(c.shape[0]):
         K = min(size, N - b * size)
         for a in range(n):
-            own, about = stretch(x, a, b * size, K), c[b, a]
+            own, middle = stretch(x, a, b * size, K), c[b, a]
+            for i in range(K):
+                off[a, i] = own[i] - middle
             for e in range(a + 1):
-                other, middle, s = stretch(x, e, b * size, K), c[b, e], 0.0
-                for i in range(K):
-                    s += (own[i] - about) * (other[i] - middle)
-                S[a, e] = S[e, a] = s / K
+                S[a, e] = S[e, a] = dot(stretch(off, a, 0, K), stretch(off, e, 0, K)) / K
         for a in range(n):
             for e in range(a + 1):
                 s = S[a, e]

@@ -12,9 +12,10 @@ from .._jit import jit
 from ..elementary import FAST
 from ..limits import LARGEST_EXPONENT, LOG_2_PI
 from ..small_matrices import cholesky, invert_lower, whiten
+from ..sums import summed
 from .blocks import add_products, end_of_block, multiplied, squares
 from .noise import even_normals, uniform
-from .weights import prior_times, summed, systematic, taken
+from .weights import prior_times, systematic, taken
 
 #: Neighbours to either side, that tell what the flow is without noise.
 NEAR = 2

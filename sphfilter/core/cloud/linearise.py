@@ -10,10 +10,11 @@ import numpy as np
 from numba import types
 
 from .._addresses import Entry, function_at
-from .._jit import MATRIX, jit, sums_jit
+from .._jit import MATRIX, jit
 from .._views import rows_at, stretch
 from ..limits import ROUNDING
 from ..small_matrices import product
+from ..sums import dot, summed
 from .blocks import block_size
 from .noise import OF_STATE
 from .steps import CUBE, LEG, flow, new_room, scaled, times_root
@@ -21,7 +22,7 @@ from .steps import CUBE, LEG, flow, new_room, scaled, times_root
 _TERMS = 4  # of an exponential at half a norm, (1/2)⁴ / 4! = 2.6e-3 of what only guides is left out
 
 
-@sums_jit
+@jit
 def widths(x, lineage, power):
     """Widths (blocks,) of what points x (n, N) stand for, over the standard deviation of their block.
 
@@ -45,10 +46,8 @@ def widths(x, lineage, power):
             members[k] += 1
         ratio = 0.0
         for a in range(n):
-            values, mean, square = stretch(x, a, first, K), 0.0, 0.0
-            for i in range(K):
-                mean += values[i] / K
-                square += values[i] * values[i] / K
+            values = stretch(x, a, first, K)
+            mean, square = summed(values) / K, dot(values, values) / K
             for i in range(K):
                 sums[lineage[first + i], a] += values[i]
             variance, between = square - mean * mean, -mean * mean

@@ -99,7 +99,7 @@ def tried(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, m
         bias = Bias(_BEYOND * apart, _BEYOND * math.hypot(math.sqrt(2.0) * apart, wide))
         too_much = over_allowed(bias, allowed, n)
         more = math.ceil(number * min(max(too_much ** (1.0 / STEPS_ORDER), 1.2), MORE))
-        if too_much > 1.0 and _may_be_chance(len(x), w.size, number, more, apart, chance, allowed):
+        if bias.mean > allowed and _may_be_chance(len(x), w.size, number, more, apart, chance, allowed):
             x, before, again = few(every, w, 4 * len(x), table, bits), np.inf, False  # a new look
             continue
         if not too_much > 1.0 and alone > allowed:

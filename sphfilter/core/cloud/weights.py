@@ -4,29 +4,27 @@ import math
 
 import numpy as np
 
-from .._jit import jit, sums_jit
+from .._jit import jit
 from .._views import stretch
 from ..elementary import FAST
 from ..limits import LITTLE, LOOK, ROUNDING, TINY
 from ..small_matrices import cholesky, invert_lower, whiten
+from ..sums import dot, summed
 from .blocks import about, squares
 from .noise import LANES
 
 AWAY = 1.0 / ROUNDING  # extents, from which a point has run away: AWAY² = 1 / eps leaves others no digit
 
 
-@sums_jit
+@jit
 def weighted_moments(X, w, mean, cov):
     """Fill mean (n,) and covariance (n, n) of states X (n, N) with weights w (N,) that sum to one.
 
     Sums are over a few states at a time, which fit the first-level cache.
     """
-    (n, N), heavy = X.shape, np.empty(LANES)
+    (n, N), off, heavy = X.shape, np.empty((len(X), LANES)), np.empty((1, LANES))
     for a in range(n):
-        s = 0.0
-        for i in range(N):
-            s += w[i] * X[a, i]
-        mean[a] = s
+        mean[a] = dot(w, stretch(X, a, 0, N))
         for b in range(n):
             cov[a, b] = 0.0
     for first in range(0, N, LANES):
@@ -34,12 +32,10 @@ def weighted_moments(X, w, mean, cov):
         for a in range(n):
             own, about = stretch(X, a, first, K), mean[a]
             for i in range(K):
-                heavy[i] = w[first + i] * (own[i] - about)
+                off[a, i] = own[i] - about
+                heavy[0, i] = w[first + i] * off[a, i]
             for b in range(a + 1):
-                other, about, s = stretch(X, b, first, K), mean[b], 0.0
-                for i in range(K):
-                    s += heavy[i] * (other[i] - about)
-                cov[a, b] += s
+                cov[a, b] += dot(stretch(heavy, 0, 0, K), stretch(off, b, 0, K))
     for a in range(n):
         for b in range(a):
             cov[b, a] = cov[a, b]
@@ -337,8 +333,11 @@ def _gathered(added, member, older):
 @jit
 def _squares(added, cov):
     """Squares of what lineages add: of their weights, and to the mean, over one point's variances."""
-    n, part = cov.shape[0], 0.0
-    L, S = np.empty((n, n)), _products(added)
+    (n, N), part = added.shape, 0.0
+    n, L, S = n - 1, np.empty(cov.shape), np.empty((n, n))
+    for a in range(n + 1):
+        for b in range(a + 1):
+            S[a, b] = dot(stretch(added, a, 0, N), stretch(added, b, 0, N))
     if not cholesky(cov, L):
         return S[n, n], np.nan
     W = invert_lower(L)
@@ -347,20 +346,6 @@ def _squares(added, cov):
             for c in range(a + 1):
                 part += W[a, b] * S[max(b, c), min(b, c)] * W[a, c] / n
     return S[n, n], part
-
-
-@sums_jit
-def _products(x):
-    """Sums x xᵀ (n, n) of rows x (n, N), in its lower triangle."""
-    n, N = x.shape
-    S = np.empty((n, n))
-    for a in range(n):
-        for b in range(a + 1):
-            s = 0.0
-            for i in range(N):
-                s += x[a, i] * x[b, i]
-            S[a, b] = s
-    return S
 
 
 @jit
@@ -387,15 +372,6 @@ def normalise(log_w, w):
     for i in range(log_w.size):
         w[i] /= total
     return top + math.log(total)
-
-
-@sums_jit
-def summed(w):
-    """The sum of numbers (N,)."""
-    total = 0.0
-    for i in range(w.size):
-        total += w[i]
-    return total
 
 
 @jit
