@@ -8,7 +8,7 @@ from .curve import ordered
 from .linearise import linearise_at, lower_and_rows, widths
 from .move import affine, move_at
 from .noise import LANES, even_normals, mixed, stored, uniform
-from .weights import effective, for_moments, of_points, taken, weighted_moments
+from .weights import effective, for_moments, taken, weighted_moments
 
 # what numbers of a key are for
 _CUT, FIRST, AGAIN, PILOT, KERNEL = range(5)
@@ -51,7 +51,7 @@ def begin(x, w, lineage, count, key, net, table, bits):
     start = x - (1.0 - np.sqrt(1.0 - part**2))[block] * off
     flow[:] = np.eye(n)
     lower *= part.reshape(-1, 1, 1)
-    older = of_points(lineage[: LINES - 1], order)
+    older = taken(lineage[: LINES - 1], order)
     y = affine(start, u, block, middle, middle, flow, lower)
     return start, y, u, w, block, middle, lower, flow, older
 

@@ -248,23 +248,13 @@ def of_variances(x, w, mean, cov):
 @jit
 def _lines(ancestor, older):
     """Ancestors (1 + readings, N) of points, from those (N,) of the last reading and theirs."""
-    return np.concatenate((ancestor.copy().reshape(1, -1), of_points(older, ancestor)))
-
-
-@jit
-def of_points(lines, number):
-    """Of lineages (readings, N) those of points by their number (M,): (readings, M)."""
-    out = np.empty((len(lines), number.size), np.int64)
-    for k in range(len(lines)):
-        for i in range(number.size):
-            out[k, i] = lines[k, number[i]]
-    return out
+    return np.concatenate((ancestor.copy().reshape(1, -1), taken(older, ancestor)))
 
 
 @jit
 def taken(x, number):
-    """Points (n, M) of x (n, N), by their number (M,)."""
-    y = np.empty((len(x), number.size))
+    """Points (n, M) of x (n, N), or lineages of theirs, by their number (M,)."""
+    y = np.empty((len(x), number.size), x.dtype)
     for a in range(len(x)):
         for i in range(number.size):
             y[a, i] = x[a, number[i]]
