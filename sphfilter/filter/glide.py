@@ -11,7 +11,7 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme
-from ..core.cloud.control import wrong_beside
+from ..core.cloud.control import is_flagged
 from ..core.cloud.cycle import JUDGE, UNUSUAL, Bounds
 from ..density.as_cloud import cloud_of
 from ..density.memory import MISSED, Memory, doubtful_from, flagged_from
@@ -178,9 +178,9 @@ class _Run:
             return False
         expected, S, _ = reading_of(sensor, span[1], points.x, points.w, moved.moments)
         y, S = sensor.residual(z, expected), S + sensor.noise_cov
-        done, most = done.inheriting(moved.state, moved.moments), flagged_from(target)
-        flagged = not moved.error < doubtful_from(target) or not done.error <= most
-        flagged |= done.doubt > wrong_beside(most)
+        done = done.inheriting(moved.state, moved.moments)
+        variance = done.state.told.errors.variance
+        flagged = is_flagged(moved.error, done.error, variance, doubtful_from(target), flagged_from(target))
         told = done.state.told.decisive(target, model.dim)
         if max(done.error, told) > MISSED * target:
             added = error_added(state, done.state, [(model, t1)], t0, stacked, done.moments, target)

@@ -1,7 +1,5 @@
 """Sensors that read the state at one time, as one; and passages one after the other, as one."""
 
-from functools import lru_cache
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,15 +7,16 @@ import numpy as np
 from .._types import Bools, Floats, Ints
 from ..core._addresses import NOWHERE_AT
 from ..core._views import as_compiled
-from ..core.cloud.guide import along_rows, joined, linear_reading, log_normals, without_noise
+from ..core.cloud.blocks import products
+from ..core.cloud.guide import joined, linear_reading, log_normals, without_noise
 from ..core.cloud.linearise import lower_and_rows
 from ..core.cloud.reading import Reader
 from ..core.cloud.weights import finite_rows
 from ..core.limits import DIFFERENCE
 from ..density.points import columns
 from ..model.domain import Domain
-from ..model.measurements import GaussianMeasurement, has_gaussian_noise, has_own_likelihood, is_gaussian
 from ..model.measurements import block as block_of
+from ..model.measurements import has_gaussian_noise, has_own_likelihood, is_gaussian
 from ..model.sensors import Sensors
 
 _NOTHING, _NO_MATRIX = np.empty(0), np.empty((0, 0))
@@ -40,21 +39,15 @@ class Stacked(NamedTuple):
     @classmethod
     def of(cls, readings: tuple[Any, ...], domain: Domain | None) -> "Stacked":
         """The readings of one time, each of them `Asked`; of several sensors as one, those of each."""
-        if len(readings) == 1 and domain is None and readings[0].seen.all():
-            (asked,), sensor = readings, readings[0].measurement
-            if type(sensor) is GaussianMeasurement:
-                return _read_alone(sensor, len(asked.seen)).again(asked)
-        return cls._made(readings, domain)
-
-    @classmethod
-    def _made(cls, readings: tuple[Any, ...], domain: Domain | None) -> "Stacked":
         readings = tuple(member for asked in readings for member in _members(asked))
         guides = tuple(a for a in readings if is_gaussian(a.measurement) or has_gaussian_noise(a.measurement))
         if not guides:
             return cls(readings, domain)
         sensors = [a.measurement for a in guides]
         z = _joined([np.atleast_1d(np.asarray(a.numbers))[a.seen] for a in guides])
-        angle = _joined([np.isin(np.flatnonzero(a.seen), list(a.measurement.angles)) for a in guides])
+        angle = np.array(
+            [k in a.measurement.angles for a in guides for k in np.flatnonzero(a.seen)], dtype=bool
+        )
         H = R = root = None
         if all(s.H is not None for s in sensors):
             H = _joined([s.H[a.seen] for s, a in zip(sensors, guides, strict=True)])[None]
@@ -166,13 +159,6 @@ class Stacked(NamedTuple):
         return _blocks(parts)
 
 
-@lru_cache(maxsize=64)
-def _read_alone(sensor: GaussianMeasurement, k: int) -> Stacked:
-    """A sensor by itself, of which all k numbers came: whatever they are, the rest is the same."""
-    asked = SimpleNamespace(measurement=sensor, seen=np.ones(k, bool), numbers=np.zeros(k), t=0.0)
-    return Stacked._made((asked,), None)
-
-
 def _members(asked: Any) -> tuple[Any, ...]:
     """A reading of `Sensors` as those of each that came, where some say nothing but a likelihood."""
     sensors = asked.measurement
@@ -237,7 +223,7 @@ def seen(
         for p in passages[1:]:
             flow, lower = joined(flow, lower, p.flow, p.lower)
         lower, rows = lower_and_rows(lower)
-        whole = along_rows(rows, block, np.concatenate([columns(v) for v in u])).T
+        whole = products(rows, np.concatenate([columns(v) for v in u]), block).T
     begun, moved = columns(x), columns(whole)
     r = sensor.residual(sensor.predict(without_noise(columns(y), begun, moved, lower, flow, block).T))
     about = flow, lower, *map(as_compiled, (sensor.jacobian(end), sensor.covariance(end))), sensor.angle

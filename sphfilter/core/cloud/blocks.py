@@ -109,10 +109,17 @@ def add_products(out, factor, A, x, block, turned=False):
 
 
 @jit
+def products(A, x, block):
+    """Products A x (m, N) of each point's block, A (blocks, m, n) and x (n, N)."""
+    out = np.zeros((A.shape[1], block.size))
+    add_products(out, 1.0, A, x, block)
+    return out
+
+
+@jit
 def squares(A, x, block):
     """Squares (N,) of the lengths of A x of each point's block, A (blocks, m, n) and x (n, N)."""
-    y, out = np.zeros((A.shape[1], block.size)), np.zeros(block.size)
-    add_products(y, 1.0, A, x, block)
+    y, out = products(A, x, block), np.zeros(block.size)
     for a in range(len(y)):
         for i in range(block.size):
             out[i] += y[a, i] * y[a, i]

@@ -166,6 +166,15 @@ def wrong_beside(flagged):
 
 
 @register_jitable
+def is_flagged(ahead, error, variance, unresolved, flagged):
+    """Whether a reading is flagged, or its prediction, whose mean has an error; by what each may have.
+
+    A variance may be off by twice what is told of it.
+    """
+    return not ahead < unresolved or not error <= flagged or 2.0 * variance > wrong_beside(flagged)
+
+
+@register_jitable
 def points_for(count, error, target):
     """Points that have a target error where so many have an error: a power of two; as many if it is NaN."""
     times = (error / target) ** (1.0 / _ORDER) if error == error else 1.0

@@ -22,6 +22,7 @@ from .control import (
     errors_told,
     evidence_error,
     expected_square,
+    is_flagged,
     next_points,
     over_allowed,
     points_for,
@@ -29,7 +30,6 @@ from .control import (
     square_of_more,
     step_after,
     steps_of_shadow,
-    wrong_beside,
 )
 from .noise import NORMAL, stored
 from .pace import FIRST_TRIED, MOST_LOST, Bias, chosen, over
@@ -143,9 +143,8 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         unsure[j] = evidence_error(squares[2], one.found[8], count, n)
         if reader.h != NOWHERE_AT:  # of a linear sensor the moments say it
             off[j], S[j] = foreseen(about[3], one.y, one.w, one.mean)
-        doubt = 2.0 * error_by(squares[1])
-        flagged[j] = not both(ahead, bias.mean) < bounds.unresolved or error[j] > bounds.flagged
-        flagged[j] |= doubt > wrong_beside(bounds.flagged)
+        ahead, doubt = both(ahead, bias.mean), error_by(squares[1])
+        flagged[j] = is_flagged(ahead, error[j], doubt, bounds.unresolved, bounds.flagged)
         told = decisive(error_by(squares[0]), error_by(squares[1]), bounds.target, n)
         wanted = points_for(count, told, bounds.target)
         points, calm = next_points(count, wanted, s.calm)

@@ -13,7 +13,7 @@ from ..elementary import FAST
 from ..limits import LARGEST_EXPONENT, LOG_2_PI
 from ..small_matrices import cholesky, invert_lower, whiten
 from ..sums import summed
-from .blocks import add_products, end_of_block, multiplied, squares
+from .blocks import add_products, end_of_block, multiplied, products, squares
 from .noise import even_normals, uniform
 from .weights import prior_times, systematic, taken
 
@@ -28,8 +28,7 @@ def without_noise(y, x, u, L, Phi, block):
     What its own noise did must not tell it: the proposal's density at a point would depend on the draw that
     it is to weigh, and the evidence would be wrong however many points there are.
     """
-    (n, N), first, out = y.shape, 0, np.zeros(y.shape)
-    add_products(out, 1.0, Phi, x, block)
+    (n, N), first, out = y.shape, 0, products(Phi, x, block)
     rest = y - out
     add_products(rest, -1.0, L, u, block)
     while first < N:
@@ -57,14 +56,6 @@ def _add_of_neighbours(rest, out):
         for k in range(low, high):
             s += rest[k]
         out[i] += s / max(high - low - 1, 1)
-
-
-@jit
-def along_rows(V, block, U):
-    """What moves the end of each point, V u (n, N), of all that moves it, U (d, N)."""
-    out = np.zeros((V.shape[1], block.size))
-    add_products(out, 1.0, V, U, block)
-    return out
 
 
 @jit
@@ -215,9 +206,9 @@ def look_ahead(r, u, w, block, HL, R, net, key):
         if _gain(HL[b], R[b], S, K[b], T[b]) and cholesky(S, L) and cholesky(R[b], S):
             peak_S[b], peak_R[b] = _inverse(L, of_S[b]), _inverse(S, of_R[b])
     a = prior_times(w, _said(r, block, of_S, peak_S))
-    top, log_ratio, new = a.max(), np.empty(N + count), np.zeros((n, count))
+    top, log_ratio = a.max(), np.empty(N + count)
     if top == -np.inf:
-        return np.empty(0, np.int64), new, log_ratio
+        return np.empty(0, np.int64), np.empty((n, count)), log_ratio
     for i in range(N):
         a[i] = FAST.exp(a[i] - top)
     total = summed(a)
@@ -226,7 +217,7 @@ def look_ahead(r, u, w, block, HL, R, net, key):
     add_products(rest, -1.0, HL, u, block)
     log_ratio[:N] = _said(rest, block, of_R, peak_R) - known
     rest, block = taken(r, ancestor), block[ancestor]
-    add_products(new, 1.0, K, rest, block)
+    new = products(K, rest, block)
     add_products(new, 1.0, T, z, block)
     add_products(rest, -1.0, HL, new, block)
     log_ratio[N:] = _said(rest, block, of_R, peak_R) - known

@@ -12,10 +12,9 @@ from numba import types
 from .._addresses import ADDRESS, NOWHERE_AT, function_at
 from .._jit import MATRIX, VECTOR, jit
 from ..limits import ALIKE, DIFFERENCE
-from .blocks import add_products, steered
+from .blocks import products, steered
 from .guide import (
     NEAR,
-    along_rows,
     joined,
     linear_reading,
     log_normals,
@@ -85,9 +84,7 @@ def _read(reader, x):
         rows = np.empty((N, k))
         function_at(reader.h)(turned(x), reader.t, reader.p, rows)
         return turned(rows)
-    out = np.zeros((k, N))
-    add_products(out, 1.0, reader.H.copy().reshape(1, k, n), x, np.zeros(N, np.int64))
-    return out
+    return products(reader.H.copy().reshape(1, k, n), x, np.zeros(N, np.int64))
 
 
 @jit
@@ -169,7 +166,7 @@ def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, net
         return y, log_w, alone, wrong
     flow, G = joined(kernel.flow, kernel.lower, moved.flow, moved.lower)
     lower, rows = lower_and_rows(G)
-    whole = along_rows(rows, block, np.concatenate((u, v)))
+    whole = products(rows, np.concatenate((u, v)), block)
     r = residuals(reader.z, _read(reader, without_noise(y, x, whole, lower, flow, block)), reader.angle)
     H, R = _slopes(reader, moved.end), reader.R.copy().reshape((1, reader.z.size, reader.z.size))
     HL, R = linear_reading(h, x, whole, w, block, flow, lower, H, R, reader.angle, WIDER, WIDER * OWN)
