@@ -20,6 +20,8 @@ from .tables import Tables, tables_of
 _DIFFERENT = (
     "The sensor's h is of {} states, but the state has {}: h has a column, or a name, for each state."
 )
+#: What of a sensor stays as it is made: likelihoods keep what follows from it.
+_STAYS = "noise_cov", "H", "angles", "dim_z", "directly_observed"
 
 
 class Reading(NamedTuple):
@@ -268,6 +270,14 @@ class GaussianMeasurement(Adjustable):
         self._finish(angles, len(h))
         return self
 
+    def __setattr__(self, name: str, value: object) -> None:
+        if name in _STAYS and "directly_observed" in vars(self):  # the last that a sensor is given
+            raise ModelError(
+                f"{name} of a sensor stays as it is: sensor.changed(noise_cov=..., h=...) makes another sensor, "
+                "and update(z, R=...) takes another R for one reading"
+            )
+        object.__setattr__(self, name, value)
+
     def _begin(self, made: Callable[..., Any], recipe: dict[str, Any], values: Values) -> None:
         self._made, self._recipe = made, recipe
         self._factors: dict[bytes, tuple[Floats, Floats, float]] = {}
@@ -329,6 +339,7 @@ class GaussianMeasurement(Adjustable):
             return GaussianMeasurement(h, cov, self.angles, **self._values._asdict())
         new = self._copied()
         if noise_cov is not None:
+            del new.directly_observed
             new._recipe, new._factors, new._noise = self._recipe | {"noise_cov": noise_cov}, {}, None
             new._set_noise(noise_cov, False, None, None)
             new.H = new._matrix

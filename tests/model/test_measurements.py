@@ -212,3 +212,9 @@ def test_a_sensor_in_text_knows_its_number_of_states():
 )
 def test_a_sensor_tells_what_it_is(sensor, said):
     assert said in repr(sensor)
+
+
+@pytest.mark.parametrize("name, value", [("noise_cov", [[4.0]]), ("H", None), ("angles", (0,))])
+def test_what_likelihoods_follow_from_stays_as_it_is(name, value):
+    with pytest.raises(ModelError, match=r"changed\(noise_cov="):
+        setattr(GaussianMeasurement([[1.0, 0.0]], [[0.2]]), name, value)
