@@ -1,8 +1,10 @@
 """A record put through a cloud without a density, and what a step says, for every reading.
 
 What a filter finds so has the bits that it finds step by step: where a step would be anything but usual, the
-filter takes that one itself.
+filter takes that one itself. And the last step of a record, whose row is known, when it is asked what came of it.
 """
+
+import math
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
@@ -55,7 +57,7 @@ class Glide:
         self._filt, self._wait, self._next = filt, 0, 0
 
     def through(self, times: Floats, readings: Sequence[Any]) -> list[dict[str, Any]]:
-        """Rows of a result for the first readings; the last is always left to the filter."""
+        """Rows of a result for the first readings."""
         if self._next > 0 or not _usual(self._filt):
             self._next -= 1
             return []
@@ -65,18 +67,24 @@ class Glide:
         return rows
 
     def _through(self, times: Floats, readings: Sequence[Any]) -> list[dict[str, Any]]:
-        run, going_on = _Run(self._filt), True
+        run, later, going_on = _Run(self._filt), np.append(times[1:], math.inf), True
         try:
             while going_on:
-                first = len(run.reached.rows)
-                last = first + _AHEAD + 1
-                Z, ends = _plain(self._filt, run.reached.t, times[first:last], readings[first:last])
+                some = slice(len(run.reached.rows), len(run.reached.rows) + _AHEAD)
+                Z, ends = _plain(self._filt, run.reached.t, (times[some], later[some]), readings[some])
                 going_on = run.through(ends, Z) and len(Z) == _AHEAD  # else the next is the filter's
         finally:  # what is done stays done, whatever raises
-            if run.reached.rows:
-                z = readings[len(run.reached.rows) - 1]
-                self._filt._state = _after(self._filt, run.reached, z)
+            self._leave(run, times, readings)
         return run.reached.rows
+
+    def _leave(self, run: "_Run", times: Floats, readings: Sequence[Any]) -> None:
+        """Leave the filter at what a run has reached; before the last step, if nothing comes after it."""
+        whole = len(run.reached.rows) == len(times)
+        reached, filt = run.before if whole else run.reached, self._filt
+        if reached.rows:
+            filt._state = _after(filt, reached, readings[len(reached.rows) - 1])
+        if whole:
+            filt._pending = float(times[-1]), _all_of(filt.measurement, readings[-1])
 
 
 class _Reached(NamedTuple):
@@ -100,6 +108,7 @@ class _Run:
         self._sensor, self._model = filt.measurement, model
         self._target = target = _target_of(filt)
         self.reached = _Reached(as_points(density, needs.cloud(target)), needs, [], filt.t)
+        self.before = self.reached  # one reading earlier
         self._steady = model.autonomous or model.linear or not isinstance(model, SDE)
         self._known: Stacked | None = None
         self._raised = False
@@ -151,10 +160,17 @@ class _Run:
         if found.end == JUDGE and not self._added(found, times, Z) <= MISSED * target:
             found, refused = found.before, True  # more points help where this cycle has added its error
         if found.done:
-            rows = _rows(self._sensor, Z[: found.done], times[1:], found.rows)
-            needs = needs._replace(points=found.points, calm=found.calm, legs=0, age=found.state.age)
-            self.reached = self.reached.and_on(found.state, needs, rows, float(times[found.done]))
+            rows, rest = _rows(self._sensor, Z[: found.done], times[1:], found.rows), found.before
+            alone = rest is None or rest.done == 0
+            self.before = self.reached if alone else self._put(rest, rows, times)
+            self.reached = self._put(found, rows, times)
         return found.end == UNUSUAL, refused
+
+    def _put(self, found: Through, rows: list[dict[str, Any]], times: Floats) -> _Reached:
+        """How far the record is, where compiled code has put it through so many readings."""
+        needs = self.reached.needs._replace(points=found.points, calm=found.calm, legs=0)
+        needs = needs._replace(age=found.state.age)
+        return self.reached.and_on(found.state, needs, rows[: found.done], float(times[found.done]))
 
     def _added(self, found: Through, times: Floats, Z: Floats) -> float:
         """Error of the mean that the last reading put through has added."""
@@ -189,7 +205,7 @@ class _Run:
         needs = needs._replace(legs=0, age=done.state.age).told(told, target, done.state.size)
         said = done.log_evidence, done.evidence_error, done.error, done.variance_error
         row = _row(*moved.moments, *done.moments, *said, y, S, flagged)
-        self.reached = self.reached.and_on(done.state, needs, [row], span[1])
+        self.before, self.reached = self.reached, self.reached.and_on(done.state, needs, [row], span[1])
         return True
 
 
@@ -237,10 +253,13 @@ def _target_of(filt: Any) -> float:
     return cast(float, target_of(filt.density, filt.config, "auto"))
 
 
-def _plain(filt: Any, t: float, times: Floats, readings: Sequence[Any]) -> tuple[Floats, Floats]:
-    """The first readings (K, k) of which all numbers came, but for the last; t and their times (K + 1,)."""
+def _plain(filt: Any, t: float, times: tuple[Floats, ...], readings: Sequence[Any]) -> tuple[Floats, Floats]:
+    """The first readings (K, k) of which all numbers came; t and their times (K + 1,).
+
+    The times are those of the readings, and of the ones after them.
+    """
     Z, ends = [], [t]
-    for t1, then, z in zip(times[:-1].tolist(), times[1:].tolist(), readings[:-1], strict=True):
+    for t1, then, z in zip(*(each.tolist() for each in times), readings, strict=True):
         numbers = _all_of(filt.measurement, z)
         jump = next(iter(filt.model.breaks(ends[-1], t1)), None)
         if numbers is None or not ends[-1] < t1 < then or jump is not None:

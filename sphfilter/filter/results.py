@@ -206,7 +206,7 @@ def run_filter(
     inputs : array_like (T, m), or mapping of str to array_like (T,), optional
         What the inputs of the filter's model are over the interval that ends at each time.
     """
-    times = np.asarray(times, dtype=float)
+    times, n = np.asarray(times, dtype=float), len(filt.x)
     if times.ndim != 1 or len(times) != len(measurements):
         raise ModelError(
             f"run needs as many measurements as times; got times of shape {times.shape} "
@@ -219,8 +219,8 @@ def run_filter(
         )
     if observer is None and truth is not None:
         observer = Ranker(truth)
-    if observer is not None and np.shape(observer.truth) != (len(times), len(filt.x)):
-        expected = f"{(len(times), len(filt.x))}, a state a time"
+    if observer is not None and np.shape(observer.truth) != (len(times), n):
+        expected = f"{(len(times), n)}, a state a time"
         raise ModelError(f"truth must have shape {expected}; got {np.shape(observer.truth)}")
     driving = [None] * len(times) if inputs is None else each_input(filt.model.inputs, inputs, len(times))
     readings = rows_of(getattr(filt, "measurement", None), measurements)
@@ -233,13 +233,14 @@ def run_filter(
     while len(rows) < len(times):
         if glide is not None:
             rows += glide.through(times[len(rows) :], readings[len(rows) :])
-        epoch = len(rows)
+        if (epoch := len(rows)) == len(times):
+            break
         rows.append(
             _epoch(filt, times[epoch], readings[epoch], driving[epoch], k, epoch, observer if looks else None)
         )
         if each is not None:
             each(filt)
-    kept = {name: shape for name, shape in shapes(len(filt.x), k).items() if looks or name not in RANKS}
+    kept = {name: shape for name, shape in shapes(n, k).items() if looks or name not in RANKS}
     columns = {
         name: np.array([row[name] for row in rows], bool if name in TRUTHS else float).reshape(-1, *shape)
         for name, shape in kept.items()

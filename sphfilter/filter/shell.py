@@ -56,7 +56,9 @@ class DensityFilter(StepHistory, Generic[Carried, Model, Given]):
     _of_state: ClassVar[tuple[str, ...]] = ("log_evidence",)  # parts of it that may be set
     #: What makes a filter again: of a file, model and measurement.
     _restored: ClassVar[Callable[..., Restored]]
-    _state: FilterState[Carried]
+    _now: FilterState[Carried]
+    #: Time and reading of the step after that, where a record has told its row: it is taken when it is needed.
+    _pending: tuple[float, Any] | None = None
 
     x: Final[Floats] = _shown("x", "Mean, shape (n,).")
     P: Final[Floats] = _shown("P", "Covariance, shape (n, n).")
@@ -82,8 +84,31 @@ class DensityFilter(StepHistory, Generic[Carried, Model, Given]):
         if DensityFilter in cls.__bases__:
             cls._base = cls
 
+    @property
+    def _state(self) -> FilterState[Carried]:
+        if self._pending is not None:
+            self._catch_up()
+        return self._now
+
+    @_state.setter
+    def _state(self, state: FilterState[Carried]) -> None:
+        self._now, self._pending = state, None
+
+    def _catch_up(self) -> None:
+        """Take the step that is pending."""
+        filt: Any = self
+        before, (t, z), self._pending = self._now, filt._pending, None
+        try:
+            filt.predict(t=t)
+            filt.update(z)
+        except BaseException:  # a Ctrl-C
+            self._now, self._pending = before, (t, z)
+            raise
+
     def __setattr__(self, name: str, value: Any) -> None:
         check_assigned(name, type(self), self._base)
+        if self._pending is not None and not name.startswith("_"):
+            self._catch_up()  # with the sensor and the settings that it had
         object.__setattr__(self, name, value)
         if name in self._of_state and self._steps:
             self._did("__setattr__", name=name, value=value)

@@ -182,7 +182,7 @@ class SPHFilter(DensityFilter[ParticleDensity, Dynamics, Sensor | None]):
     @n_particles.setter
     def n_particles(self, value: int) -> None:
         value = count("n_particles", value)
-        if "_state" in vars(self):  # else a subclass sets it before it is made
+        if "_now" in vars(self):  # else a subclass sets it before it is made
             self._state = self._state.noted(n_particles=value)
             self._adapts = False
 
