@@ -8,6 +8,7 @@ import numpy as np
 from .._types import Floats, Ints
 from ..core._addresses import NOWHERE_AT, address_of
 from ..core._views import as_compiled
+from ..core.cloud import bridge
 from ..core.cloud.blocks import blocks_of, centres
 from ..core.cloud.curve import along_curve, places
 from ..core.cloud.cycle import PARTS, Bounds, Standing
@@ -39,6 +40,8 @@ READING = 2  # of the key of an age: a reading of a cloud; and of its shadow the
 #: scenes are 1 to 1.15 times as many, errors .9 to 1.15 times as large.
 _SPREAD = 1.0 / 3.0
 _AT_ONCE = 2**14  # steps of points linearised at once: matrices of four states take 2^14 · 16 · 8 B = 2 MB
+_NO_NETS = (np.broadcast_to(0.0, (0, 0)),) * 3
+_LED_BEFORE: set[tuple[int, int]] = set()  # points and states
 _NO_ROWS = np.empty((1, 0, 0))
 _NO_CHANGES = np.empty((0, 0, 0)), np.empty((0, 0)), np.empty((0, 0, 0))
 
@@ -141,7 +144,11 @@ def put_through(
     that of the cloud; readings are of a sensor (K, k) at the other times, least (K,) the steps of each
     interval, counts and calm as of `Memory`.
     """
-    nets = tuple(tuple(net(count, model.dim, part).T for part in (LED, 0, 1)) for count in counts)
+    led = [(count, model.dim) in _LED_BEFORE for count in counts]
+    nets = [
+        nets_of(count, model.dim) + (leading_nets(count, model.dim) if known else _NO_NETS)
+        for count, known in zip(counts, led, strict=True)
+    ]
     leg, changes = NO_LEG, _NO_CHANGES
     if model.linear:
         each = [change_of(model, dt) for dt in np.diff(times).tolist()]
@@ -154,12 +161,24 @@ def put_through(
         standing += [columns(points.x), points.w, _lineage_of(points)]
     standing += [state.size, *state.told, state.pace.step, state.pace.stiff, counts[0], calm, state.age]
     motion = leg, address_of(STIFF_FLOW), changes
-    about = motion, readings, (times, least), Standing(*standing), nets, bounds, places(model.dim)
+    about = motion, readings, (times, least), Standing(*standing), tuple(nets), bounds, places(model.dim)
+    lead = address_of(bridge.BRIDGE) if any(led) else NOWHERE_AT
     with surfacing():
-        end, done, *sides, rows = through(tuple(map(address_of, PARTS)), *about)
+        end, done, *sides, rows = through((*map(address_of, PARTS), lead), *about)
     after, before = (Standing(*side) for side in sides)
     rest = Through(end, done - 1, _state_of(before), before.points, before.calm, None, rows)
     return Through(end, done, _state_of(after), after.points, after.calm, rest, rows)
+
+
+def nets_of(count: int, dim: int) -> tuple[Floats, ...]:
+    """Standard normals (dim, count), read-only, of a guide and of both passages of a way."""
+    return tuple(net(count, dim, part).T for part in (LED, 0, 1))
+
+
+def leading_nets(count: int, dim: int) -> tuple[Floats, ...]:
+    """Those of points that are led piece by piece; as soon as some of a number are, records have them."""
+    _LED_BEFORE.add((count, dim))
+    return nets_of(bridge.MORE * count, dim)
 
 
 def _state_of(standing: Standing) -> CloudState:

@@ -14,6 +14,7 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.cloud.blocks import blocks_of, centres
+from ..core.cloud.bridge import MISSED, MORE, REST
 from ..core.cloud.guide import look_ahead, over_both
 from ..core.cloud.reading import WIDER
 from ..core.cloud.weights import effective, normalise
@@ -22,13 +23,6 @@ from ..density.passage import LED, along, gone, normals, relinearised, stored_ke
 from ..density.points import Carried, Passage, Points, columns
 from ..density.quasi_random import net
 from .stacked import Stacked, seen
-
-#: Points for each of the prior: the first guide chooses few of these, and what remains of the way parts them.
-#: Measured: with half, with itself and with twice errors of peaks of sin 4 x + y² are .008, .007, .003.
-_MORE = 4
-#: Times what linearity misses on average, that a guide sees, which is more in the tails: of 1, 2, 4, 8 and an
-#: outlier of twelve sigma, errors .14 .09 .06 .05. Measured: half and twice are .7 and .9 of an error.
-_MISSED = 8.0
 
 
 def bridged(points: Points, sensor: Stacked, key: int, least: float) -> Carried | None:
@@ -39,7 +33,7 @@ def bridged(points: Points, sensor: Stacked, key: int, least: float) -> Carried 
     """
     path: Any = points.path
     x, y, block, passages, u = path.x, points.x, path.block, path.passages, path.u
-    log_w, lineage, count = np.log(np.maximum(points.w, TINY)), np.arange(len(path.x)), _MORE * len(path.x)
+    log_w, lineage, count = np.log(np.maximum(points.w, TINY)), np.arange(len(path.x)), MORE * len(path.x)
     stage = 0
     while True:  # each stage takes one step of the way, or more
         own = sub_key(key, stage)
@@ -85,7 +79,7 @@ def _led(
     """
     N, n = x.shape
     way = x, y, u, np.full(N, 1.0 / N), block
-    rows, _, HL, r, R = seen(sensor, passages, *way, sensor.predict(y), WIDER, _MISSED)
+    rows, _, HL, r, R = seen(sensor, passages, *way, sensor.predict(y), WIDER, MISSED)
     first = HL
     if rows is not None:  # what moves points later is noise of the reading
         first = np.ascontiguousarray(HL @ rows[:, :, :n])
@@ -107,6 +101,6 @@ def _halved(passages: Any, x: Floats, key: Any) -> tuple[Passage, ...]:
             first = first._replace(leg=first.leg._replace(steps=steps))
     c, out = centres(columns(x)), []
     for k, passage in enumerate([first, *later]):
-        out.append(relinearised(passage, c, stored_key(key, 100 + k)))
+        out.append(relinearised(passage, c, stored_key(key, REST + k)))
         c = out[-1].end
     return tuple(out)

@@ -1,15 +1,15 @@
 """A record put through a cloud without a density, and what a step says, for every reading.
 
 What a filter finds so has the bits that it finds step by step: where a step would be anything but usual, the
-filter takes that one itself. And the last step of a record, whose row is known, when it is asked what came of it.
+filter takes that one itself. It takes the last step of a record, too, when it is asked what came of that.
 """
 
 import math
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+from numba.core.errors import NumbaError
 
 from .._types import Floats
 from ..config import CloudScheme
@@ -124,7 +124,7 @@ class _Run:
             if left and not unusual and not self._raised:
                 try:
                     unusual, over = self._at_once(times[k:], Z[k:])
-                except SystemError:  # a Ctrl-C
+                except (SystemError, NumbaError):  # a Ctrl-C, or a fault of the library
                     raise
                 except Exception:  # step by step, up to the reading at which a function raises
                     self._raised, over = True, False

@@ -10,13 +10,15 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.cloud.blocks import steered
-from ..core.cloud.cycle import FEW
+from ..core.cloud.bridge import bridge
+from ..core.cloud.control import is_better, is_led, is_tempered, least_led
+from ..core.cloud.curve import places
 from ..core.cloud.guide import look_ahead, over_both
 from ..core.cloud.reading import GUIDE, OWN, PARTS, WIDER, Part, weigh
 from ..core.cloud.steps import NO_LEG
 from ..core.cloud.weights import effective, prior_times
 from ..core.limits import ALIKE
-from ..density.passage import LED, gone, normals, sub_key
+from ..density.passage import LED, gone, leading_nets, nets_of, normals, sub_key
 from ..density.points import Carried, Points, Prior, columns
 from ..density.quasi_random import net
 from ..model.compile import surfacing
@@ -24,13 +26,6 @@ from .bridged import bridged
 from .pilot import piloted
 from .stacked import Stacked, seen
 from .tempered import tempered
-
-#: What points lose of their carriers along the way piece by piece; the part of points below which tempering,
-#: at twenty times the cost, is tried.
-_LOST, _FEWER = 2.0, 1.0 / 16.0
-#: Independent points enough for an error of .14; times the carriers of one way, by which another is better.
-_ENOUGH, _FAR_MORE = 50.0, 2.0
-_NEXT_TO_NONE = 16.0  # the evidence's error is a quarter of a nat, and weights' own number is believed
 
 
 class Weighed(NamedTuple):
@@ -74,50 +69,59 @@ def weighed(points: Points, sensor: Stacked, key: int) -> Weighed:
 
 def _best(points: Points, sensor: Stacked, key: int) -> Carried:
     """The posterior by the first way that has enough carriers, or far more than those before it."""
-    count = len(points.w)
+    count, number = len(points.w), effective(points.w)
     best = _at_once(points, sensor, key)
     if best is None:
         best, sensor = _in_turn(points, sensor, key)
-    if points.path is None or best.lineages >= ALIKE * effective(points.w):
+    if points.path is None:
         return best
-    if len(sensor.z) and best.lineages < FEW * count:
-        least = _LOST * _FAR_MORE * best.lineages if best.lineages > _NEXT_TO_NONE else 0.0
-        best = _better(best, bridged(points, sensor, key, least))
-    if best.lineages < min(_FEWER * count, _ENOUGH if sensor.hidden else _NEXT_TO_NONE):
+    if len(sensor.z) and is_led(best.lineages, number, count):
+        best = _better(best, _piece_by_piece(points, sensor, key, least_led(best.lineages)))
+    if is_tempered(best.lineages, number, count, sensor.hidden):
         best = _better(best, tempered(points, sensor.log_likelihood, key))
     return best
 
 
-def _carriers(found: Carried) -> float:
-    """Points that carry a posterior: its weights, and its variances."""
-    return min(found.lineages, found.of_variance)
-
-
 def _better(best: Carried, other: Carried | None) -> Carried:
-    """The one that has far more carriers; where both have next to none, else that of the higher evidence.
-
-    Both know the evidence without bias: what has missed the posterior says too little, most of the time. What
-    has found its peak may have missed the tails that carry its variance.
-    """
-    if other is None or _carriers(other) > _FAR_MORE * _carriers(best):
-        return other or best
-    few = max(best.lineages, other.lineages) < _NEXT_TO_NONE
-    return other if few and other.log_evidence > best.log_evidence else best
+    """The better one of two, if there are two."""
+    if other is None:
+        return best
+    said, known = ((c.lineages, c.of_variance, c.log_evidence) for c in (other, best))
+    return other if is_better(*said, known) else best
 
 
 def _at_once(points: Points, sensor: Stacked, key: int) -> Carried | None:
     """The posterior of both passes in one call of compiled code; None where that does not know the case."""
+    way = _way(points, sensor)
+    if way is None:
+        return None
+    with surfacing():
+        x, log_w, ancestor, wrong = weigh(*way, nets_of(*points.x.shape), key)
+    return None if wrong else Carried.of(x.T, log_w, ancestor, points.older)
+
+
+def _piece_by_piece(points: Points, sensor: Stacked, key: int, least: float) -> Carried | None:
+    """The posterior of points led piece by piece of the way, at least so many by the first guide; or none."""
+    way = _way(points, sensor)
+    if way is None:
+        return bridged(points, sensor, key, least)
+    with surfacing():
+        about = leading_nets(*points.x.shape), key, least, *places(points.x.shape[1])
+        x, log_w, ancestor, wrong = bridge(*way, *about)
+    if wrong:
+        return bridged(points, sensor, key, least)
+    return Carried.of(x.T, log_w, ancestor, points.older) if len(log_w) else None
+
+
+def _way(points: Points, sensor: Stacked) -> tuple[Any, ...] | None:
+    """A reading and the way of points to it as compiled code takes them; None where it does not know them."""
     path, reader = points.path, sensor.reader
     if path is None or reader is None or len(path.passages) != 2:
         return None
-    count, n = points.x.shape
     kernel, moved = (Part(p.start, p.end, p.flow, p.lower, p.rows) for p in path.passages)
     leg = NO_LEG if path.passages[1].leg is None else path.passages[1].leg
     about = leg, leg is NO_LEG, path.passages[1].key, columns(path.x), columns(points.x), points.w, path.block
-    nets, u = tuple(net(count, n, part).T for part in (LED, 0, 1)), map(columns, path.u)
-    with surfacing():
-        x, log_w, ancestor, wrong = weigh(reader, *about, kernel, moved, *u, nets, key)
-    return None if wrong else Carried.of(x.T, log_w, ancestor, path.older)
+    return reader, *about, kernel, moved, *map(columns, path.u)
 
 
 def _in_turn(points: Points, sensor: Stacked, key: int) -> tuple[Carried, Stacked]:

@@ -7,7 +7,7 @@ import math
 
 from numba.extending import register_jitable
 
-from ..limits import LOOK
+from ..limits import ALIKE, LOOK
 from ..step_control import MORE
 
 SHADOW = 8  # points of a cloud over those of its shadow, which costs an eighth of the time
@@ -29,6 +29,15 @@ _AIMED = 0.5
 #: Points of a cloud, least and most: powers of two, for which nets are evenest. The shadow of the least has
 #: 32, and the error of the most is some _OF_RANDOM / √2^17 = 1.4e-3.
 _FEWEST_POINTS, MOST_POINTS = 32 * SHADOW, 2**17
+#: Part of points below which carriers are few: the way piece by piece, at six times the cost, divides errors
+#: by five.
+_FEW = 0.25
+#: What points lose of their carriers along that way; the part of points below which tempering is tried, at
+#: twenty times the cost.
+_LOST, _FEWER = 2.0, 1.0 / 16.0
+#: Independent points enough for an error of .14; times the carriers of one way, by which another is better.
+_ENOUGH, _FAR_MORE = 50.0, 2.0
+_NEXT_TO_NONE = 16.0  # the evidence's error is a quarter of a nat, and weights' own number is believed
 WRONG = 0.2  # of a variance, off by which it is said to be at usual targets
 _SETTLED = 3  # readings before there are more again; measured: with 2 modes of tests/filter miss .01
 _PATIENCE = 2  # readings that ask for fewer before there are; measured: errors up to 1.7 times with 4
@@ -89,6 +98,42 @@ def least_error(number, size):
     if number < LOOK:
         return 1.0 / math.sqrt(number)
     return _OF_RANDOM * max(1.0 - number / size, 0.0) / math.sqrt(number)
+
+
+@register_jitable
+def is_led(lineages, number, count):
+    """Whether points of a reading are to be led piece by piece, of as many lineages.
+
+    They are `count`, as good as a number of independent ones before it.
+    """
+    return lineages < ALIKE * number and lineages < _FEW * count
+
+
+@register_jitable
+def least_led(lineages):
+    """Points that the first guide of such a way chooses at least, if it is to be better than so many."""
+    return _LOST * _FAR_MORE * lineages if lineages > _NEXT_TO_NONE else 0.0
+
+
+@register_jitable
+def is_tempered(lineages, number, count, hidden):
+    """Whether points are to be tempered; `hidden` where some sensor says nothing but a likelihood."""
+    few = lineages < min(_FEWER * count, _ENOUGH if hidden else _NEXT_TO_NONE)
+    return few and lineages < ALIKE * number
+
+
+@register_jitable
+def is_better(lineages, of_variance, log_evidence, than):
+    """Whether one way to a posterior is better than another: than three numbers of the same.
+
+    It has far more carriers; where both have next to none, the higher evidence. Both know the evidence
+    without bias: what has missed the posterior says too little, most of the time. What has found its peak
+    may have missed the tails that carry its variance.
+    """
+    carriers = min(lineages, of_variance)
+    if carriers > _FAR_MORE * min(than[0], than[1]):
+        return True
+    return max(lineages, than[0]) < _NEXT_TO_NONE and log_evidence > than[2]
 
 
 @register_jitable

@@ -12,7 +12,7 @@ from numba import types
 
 from .._addresses import ADDRESS, NOWHERE_AT, Entry
 from .._jit import MATRIX, VECTOR, jit
-from ..limits import ALIKE
+from .bridge import BRIDGE
 from .control import (
     apart_by,
     bias_allowed,
@@ -22,7 +22,11 @@ from .control import (
     errors_told,
     evidence_error,
     expected_square,
+    is_better,
     is_flagged,
+    is_led,
+    is_tempered,
+    least_led,
     next_points,
     over_allowed,
     points_for,
@@ -33,31 +37,27 @@ from .control import (
 )
 from .noise import NORMAL, stored
 from .pace import FIRST_TRIED, MOST_LOST, Bias, chosen, over
-from .reading import READER, Part, Reader, foreseen, weigh
-from .steps import CUBE, LEG
+from .reading import WAY, Part, Reader, foreseen, weigh
+from .steps import LEG
 from .way import begin, carry, carry_linear
 from .weights import AWAY, any_beyond, carriers, compared, effective, near_others, weighted_moments
 
-#: Part of points below which carriers are few: the way piece by piece, at six times the cost, divides errors
-#: by five.
-FEW = 0.25
 #: How a record ends: all is put through; the next cloud has another number of points; what the last reading
 #: left is to be judged; the next one is unusual, and is not put through.
 ALL, MORE, JUDGE, UNUSUAL = range(4)
 _INTS, _LINES, _KEY = types.int64[::1], types.int64[:, ::1], types.int64
 _NET = types.Array(types.float64, 2, "C", readonly=True)
 _TABLE = types.uint32[::1], types.int64
-_MOVED = types.NamedTuple([MATRIX, MATRIX, CUBE, CUBE, CUBE], Part)
-_WAY = LEG, types.boolean, _KEY, MATRIX, MATRIX, VECTOR, _INTS, _MOVED, _MOVED, MATRIX, MATRIX
 _BEGIN = Entry(begin, (MATRIX, VECTOR, _LINES, types.int64, _KEY, _NET, *_TABLE))
 _CARRY = Entry(carry, (LEG, MATRIX, _INTS, _NET, _KEY))
 _LINEAR = Entry(carry_linear, (types.Tuple([MATRIX, VECTOR, MATRIX]), MATRIX, _INTS, _NET, _KEY))
-_WEIGH = Entry(weigh, (READER, *_WAY, types.UniTuple(_NET, 3), _KEY))
+_WEIGH = Entry(weigh, (*WAY, types.UniTuple(_NET, 3), _KEY))
 _CARRIED = Entry(carriers, (MATRIX, VECTOR, _INTS, _LINES))
 _SPAN, _STEPS = types.UniTuple(types.float64, 2), (types.int64, types.boolean, types.int64, types.int64)
 _CHOSEN = Entry(chosen, (LEG, ADDRESS, _SPAN, MATRIX, VECTOR, _KEY, *_TABLE, *_STEPS, types.float64))
 #: What a record is put through, each compiled by itself.
 PARTS = _BEGIN, _CARRY, _LINEAR, _WEIGH, _CARRIED, _CHOSEN
+_bridge_at = BRIDGE.at  # compiled when a record needs it
 _begin_at, _carry_at, _linear_at, _weigh_at, _carried_at, _chosen_at = [entry.at for entry in PARTS]
 
 
@@ -236,15 +236,23 @@ def _cycled(about, cloud, nets, keys, curve):
     else:
         y, v, middle, end, flow, lower, rows = _carry_at(parts[1])(leg, x, block, second, key)
     moved = Part(middle, end, flow, lower, rows)
-    way = reader, leg, linear, key, start, y, w, block, kernel, moved, u, v, nets, keys[1]
+    way = reader, leg, linear, key, start, y, w, block, kernel, moved, u, v
     z, log_w, ancestor, wrong = y, np.full(count, -np.inf), np.empty(0, np.int64), 1
     if near_others(y, AWAY)[1]:  # else what reads may be asked where no state is
-        z, log_w, ancestor, wrong = _weigh_at(parts[3])(*way)
-    found = _carried_at(parts[4])(z, log_w, ancestor, older)
+        z, log_w, ancestor, wrong = _weigh_at(parts[3])(*way, (nets[0], nets[1], nets[2]), keys[1])
+    found, number = _carried_at(parts[4])(z, log_w, ancestor, older), effective(w)
+    unled = is_led(found[8], number, count)
+    if unled and wrong == 0 and nets[3].size > 0:
+        by = (nets[3], nets[4], nets[5]), keys[1], least_led(found[8]), *curve
+        z, log_w, ancestor, wrong = _bridge_at(parts[6])(*way, *by)
+        unled = False
+        if log_w.size > 0:
+            led = _carried_at(parts[4])(z, log_w, ancestor, older)
+            found = led if is_better(led[8], led[6], led[3], (found[8], found[6], found[3])) else found
     mean, cov = np.empty(n), np.empty((n, n))
     weighted_moments(y, w, mean, cov)
-    enough = min(found[6], found[8]) >= min(FEW * count, ALIKE * effective(w))
-    usual = enough and wrong == 0 and found[3] > -np.inf
+    few = unled or is_tempered(found[8], number, count, False)
+    usual = not few and wrong == 0 and found[3] > -np.inf
     return _Cycled(usual, y, w, mean, cov, found)
 
 

@@ -27,6 +27,7 @@ from .guide import (
 from .linearise import lower_and_rows
 from .move import affine, move_at
 from .noise import LANES, even_normals, mixed, stored
+from .steps import CUBE, LEG
 from .way import AGAIN
 from .weights import (
     beside,
@@ -76,15 +77,64 @@ class Part(NamedTuple):
     rows: np.ndarray
 
 
+_MOVED = types.NamedTuple([MATRIX, MATRIX, CUBE, CUBE, CUBE], Part)
+_PREDICTED = LEG, types.boolean, types.int64, MATRIX, MATRIX, VECTOR, types.int64[::1], _MOVED, _MOVED
+#: Types of a reading and the way of points to it: the first arguments of `weigh`.
+WAY = READER, *_PREDICTED, MATRIX, MATRIX
+
+
 @jit
-def _read(reader, x):
-    """Readings (k, N) of states (n, N)."""
+def gone(leg, linear, x, u, block, part, key):
+    """Points (n, N) at the end of a passage, from x, with ends moved by u; a key is of other noise."""
+    if linear:
+        return affine(x, u, block, part.start, part.end, part.flow, part.lower)
+    y = x.copy()
+    move_at(leg.move)(leg, y, u, part.rows, block, key, 0, -(-x.shape[1] // LANES))
+    return y
+
+
+@jit
+def read(reader, x):
+    """Readings (k, N) of states (n, N); h is asked where the state is a number, and NaN elsewhere."""
     (n, N), k = x.shape, reader.z.size
-    if reader.h != NOWHERE_AT:
-        rows = np.empty((N, k))
+    if reader.h == NOWHERE_AT:
+        return products(reader.H.copy().reshape(1, k, n), x, np.zeros(N, np.int64))
+    fine, every = finite_rows(x)
+    rows = np.full((N, k), np.nan)
+    if every:
         function_at(reader.h)(turned(x), reader.t, reader.p, rows)
-        return turned(rows)
-    return products(reader.H.copy().reshape(1, k, n), x, np.zeros(N, np.int64))
+    elif fine.any():
+        asked, some = np.flatnonzero(fine), np.empty((np.count_nonzero(fine), k))
+        function_at(reader.h)(turned(taken(x, asked)), reader.t, reader.p, some)
+        for i in range(asked.size):
+            rows[asked[i]] = some[i]
+    return turned(rows)
+
+
+@jit
+def likelihoods(reader, x, h):
+    """Log-likelihoods (N,) of states x (n, N) of readings h; and how many are no number where a state is."""
+    fine, every = finite_rows(x)
+    log_l, wrong = log_normals(reader.z, h, reader.angle, reader.root)
+    for i in range(0 if every else log_l.size):
+        if not fine[i]:
+            wrong -= log_l[i] != log_l[i]
+            log_l[i] = -np.inf
+    return log_l, wrong
+
+
+@jit
+def as_seen(reader, flow, lower, end, x, y, h, u, w, block, misses):
+    """A way of points of weights w (N,) from x to y (n, N), of Φ, L and ends of blocks, as a sensor sees it.
+
+    Moved by u (n, N), they read h (k, N). A guide takes `misses` times what linearity misses. Returns
+    residuals (k, N) of what each would read without its noise, HL (blocks, k, n) and R (blocks, k, k).
+    """
+    k = reader.z.size
+    r = residuals(reader.z, read(reader, without_noise(y, x, u, lower, flow, block)), reader.angle)
+    H, R = _slopes(reader, end), reader.R.copy().reshape((1, k, k))
+    HL, R = linear_reading(h, x, u, w, block, flow, lower, H, R, reader.angle, WIDER, misses)
+    return r, HL, R
 
 
 @jit
@@ -95,7 +145,7 @@ def foreseen(reader, x, w, mean):
     """
     k = reader.z.size
     off, S = np.zeros(k), np.empty((k, k))
-    expected, h = _read(reader, mean.copy().reshape((-1, 1))), _read(reader, x)
+    expected, h = read(reader, mean.copy().reshape((-1, 1))), read(reader, x)
     for a in range(k):
         for i in range(w.size):
             h[a, i] = wrapped(h[a, i] - expected[a, 0], reader.angle[a])
@@ -121,7 +171,7 @@ def _slopes(reader, c):
             step = DIFFERENCE * max(1.0, abs(c[b, e]))
             x[e, 2 * (b * n + e)] += step
             x[e, 2 * (b * n + e) + 1] -= step
-    h = _read(reader, x)
+    h = read(reader, x)
     for b in range(nb):
         for e in range(n):
             i, step = 2 * (b * n + e), DIFFERENCE * max(1.0, abs(c[b, e]))
@@ -158,8 +208,8 @@ def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, net
     """
     n, N = x.shape
     own = mixed(np.uint64(key), np.uint64(GUIDE))
-    h = _read(reader, y)
-    log_l, wrong = log_normals(reader.z, h, reader.angle, reader.root)
+    h = read(reader, y)
+    log_l, wrong = likelihoods(reader, y, h)
     log_w, alone = prior_times(w, log_l), np.arange(N)
     first = np.zeros(N)
     if wrong or not abs(normalise(log_w, first)) < np.inf or effective(first) >= ALIKE * effective(w):
@@ -167,9 +217,7 @@ def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, net
     flow, G = joined(kernel.flow, kernel.lower, moved.flow, moved.lower)
     lower, rows = lower_and_rows(G)
     whole = products(rows, np.concatenate((u, v)), block)
-    r = residuals(reader.z, _read(reader, without_noise(y, x, whole, lower, flow, block)), reader.angle)
-    H, R = _slopes(reader, moved.end), reader.R.copy().reshape((1, reader.z.size, reader.z.size))
-    HL, R = linear_reading(h, x, whole, w, block, flow, lower, H, R, reader.angle, WIDER, WIDER * OWN)
+    r, HL, R = as_seen(reader, flow, lower, moved.end, x, y, h, whole, w, block, WIDER * OWN)
     ancestor, new, log_ratio = look_ahead(r, whole, w, block, HL, R, nets[0], own)
     if ancestor.size == 0:
         return y, log_w, alone, wrong
@@ -178,19 +226,8 @@ def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, net
     v = even_normals(nets[2], np.uint64(stored(own, PARTS + 1)))
     U = np.concatenate((u, v))
     steered(rows, block, new, U)
-    u, v = U[:n], U[n:]
-    end = affine(end, u, block, kernel.start, kernel.end, kernel.flow, kernel.lower)
-    if linear:
-        end = affine(end, v, block, moved.start, moved.end, moved.flow, moved.lower)
-    else:
-        again = mixed(np.uint64(passage), np.uint64(AGAIN))
-        move_at(leg.move)(leg, end, v, moved.rows, block, again, 0, -(-N // LANES))
-    fine, every = finite_rows(end)
-    for a in range(0 if every else n):  # h is asked where the state is a number
-        for i in range(N):
-            end[a, i] = end[a, i] if fine[i] else y[a, 0]
-    more, wrong = log_normals(reader.z, _read(reader, end), reader.angle, reader.root)
-    for i in range(0 if every else N):
-        more[i] = more[i] if fine[i] else -np.inf
+    end = gone(leg, True, end, U[:n], block, kernel, np.uint64(0))
+    end = gone(leg, linear, end, U[n:], block, moved, mixed(np.uint64(passage), np.uint64(AGAIN)))
+    more, wrong = likelihoods(reader, end, read(reader, end))
     both = over_both(np.concatenate((log_l, more)), log_ratio, w)
     return beside(y, end), both, np.concatenate((alone, ancestor)), wrong
