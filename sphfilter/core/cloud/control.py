@@ -34,7 +34,7 @@ _FEWEST_POINTS, MOST_POINTS = 32 * SHADOW, 2**17
 _FEW = 0.25
 #: What points lose of their carriers along that way; the part of points below which tempering is tried, at
 #: twenty times the cost.
-_LOST, _FEWER = 2.0, 1.0 / 16.0
+_LOST, _THIN = 2.0, 1.0 / 16.0
 #: Independent points enough for an error of .14; times the carriers of one way, by which another is better.
 _ENOUGH, _FAR_MORE = 50.0, 2.0
 _NEXT_TO_NONE = 16.0  # the evidence's error is a quarter of a nat, and weights' own number is believed
@@ -118,7 +118,7 @@ def least_led(lineages):
 @register_jitable
 def is_tempered(lineages, number, count, hidden):
     """Whether points are to be tempered; `hidden` where some sensor says nothing but a likelihood."""
-    few = lineages < min(_FEWER * count, _ENOUGH if hidden else _NEXT_TO_NONE)
+    few = lineages < min(_THIN * count, _ENOUGH if hidden else _NEXT_TO_NONE)
     return few and lineages < ALIKE * number
 
 
