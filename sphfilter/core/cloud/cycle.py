@@ -40,7 +40,17 @@ from .pace import FIRST_TRIED, MOST_LOST, Bias, chosen, over
 from .reading import WAY, Part, Reader, foreseen, weigh
 from .steps import LEG
 from .way import begin, carry, carry_linear
-from .weights import AWAY, any_beyond, carriers, compared, effective, near_others, weighted_moments
+from .weights import (
+    AWAY,
+    any_beyond,
+    carriers,
+    compared,
+    effective,
+    near_others,
+    systematic,
+    taken,
+    weighted_moments,
+)
 
 #: How a record ends: all is put through; the next cloud has another number of points; what the last reading
 #: left is to be judged; the next one is unusual, and is not put through.
@@ -153,7 +163,11 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         paced = step, stiff, points, calm, s.age + 1
         before, standing = s, Standing(a, b, c, d, e, f, count, *squares, *paced)
         done += 1
-        end = JUDGE if max(error[j], told) > bounds.missed else MORE if points != count else ALL
+        end = MORE if points != count else ALL
+        if max(error[j], told) > bounds.missed:
+            few = _again(leg, stiff_flow, span, step, stiff, least[j])
+            added = _added(parts, few, *about[2:], before, one, nets[1], bounds.target, curve)
+            end = end if added <= bounds.missed else JUDGE
     return (
         end,
         done,
@@ -161,6 +175,27 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         _bare(before),
         (m, P, x, C, evidence, unsure, error, wider, off, S, flagged),
     )
+
+
+@jit
+def _again(leg, stiff_flow, span, step, stiff, least):
+    """The model over a span, in steps of a length that is known; in its own, where it has such."""
+    own = leg.drift == NOWHERE_AT or leg.kind == NORMAL
+    steps = least if own else max(math.ceil((span[1] - span[0]) / step), 1)
+    return over(leg, stiff_flow if stiff else leg.flow, span[0], span[1], steps)
+
+
+@jit
+def _added(parts, leg, change, reader, s, one, nets, target, curve):
+    """The deciding error that a cycle has added, as `filter.by_cloud.error_added` tells it, or NaN."""
+    n, many = nets[0].shape
+    x, w, line = taken(s.x, systematic(s.w, many, 0.5)), np.full(many, 1.0 / many), s.lineage[:0]
+    keys = stored(s.age, 1), stored(s.age + 1, 3)
+    few = _cycled((parts, leg, change, reader), (x, w, line), nets, keys, curve)
+    if not few.usual:
+        return np.nan
+    first, second, most = compared(one.found[4], one.found[5], few.found[4], few.found[5])
+    return decisive(error_by(apart_by(first, second, n)), error_by(most), target, n)
 
 
 @jit
