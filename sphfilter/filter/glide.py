@@ -1,11 +1,11 @@
 """A record put through a cloud without a density, and what a step says, for every reading.
 
 What a filter finds so has the bits that it finds step by step: where a step would be anything but usual, the
-filter takes that one itself. And the last step of a record, whose row is known, when it is asked what came of it.
+filter takes that one itself. And the last step of a record, whose row is known, when it is asked what came of
+it.
 """
 
 import math
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 

@@ -57,7 +57,7 @@ class DensityFilter(StepHistory, Generic[Carried, Model, Given]):
     #: What makes a filter again: of a file, model and measurement.
     _restored: ClassVar[Callable[..., Restored]]
     _now: FilterState[Carried]
-    #: Time and reading of the step after that, where a record has told its row: it is taken when it is needed.
+    #: Time and reading of the step after that, where a record has told its row: it is taken when needed.
     _pending: tuple[float, Any] | None = None
 
     x: Final[Floats] = _shown("x", "Mean, shape (n,).")

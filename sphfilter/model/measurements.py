@@ -273,8 +273,8 @@ class GaussianMeasurement(Adjustable):
     def __setattr__(self, name: str, value: object) -> None:
         if name in _STAYS and "directly_observed" in vars(self):  # the last that a sensor is given
             raise ModelError(
-                f"{name} of a sensor stays as it is: sensor.changed(noise_cov=..., h=...) makes another sensor, "
-                "and update(z, R=...) takes another R for one reading"
+                f"{name} of a sensor stays as it is: sensor.changed(noise_cov=..., h=...) makes another "
+                "sensor, and update(z, R=...) takes another R for one reading"
             )
         object.__setattr__(self, name, value)
 
