@@ -176,7 +176,7 @@ def particles_of(family: Family) -> dict[str, Any]:
 def family_on_lattice(
     log_p: OfStates, moments: Any, n_particles: int, middles: Floats | None = None
 ) -> LatticeDensity:
-    """A density of given moments on a lattice of at most so many nodes, from its `middles` (K, n)."""
+    """A density of given moments on a lattice of at most so many nodes, from its `middles` (K, n) or mean."""
     mean, cov = moments
     n_particles = max(n_particles, fewest_particles(len(mean)))
     depth = 0.5 * lattice_reach(None, len(mean)) ** 2

@@ -160,6 +160,7 @@ def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[Dynamics
 
 
 def _as_cloud(state: CloudState, about: dict[str, Any]) -> ParticleDensity:
+    """A state of points as the cloud that it is of."""
     own = {name: value for name, value in about.items() if name not in ("read_out", "kernel", "moments")}
     begun = ParticleDensity(x=state.points.x[:1], mass=np.ones(1), h=np.ones(1), **own)
     return cloud_of(begun, state, moments(*state.points[:2]), **own)

@@ -33,7 +33,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[2]
 PARTS = "sphfilter", "reference_filters", "experiments", "tests"
 LONG, MANY = 40, 8  # lines and arguments that a function may have
-ASKED = {"family", "families", "pieces", "field", "read_out", "cloud"}
+ASKED = {"family", "pieces", "field", "read_out", "cloud"}
 REASON = re.compile(r"measured|experiments \w|python |\b00[012]\b|[=^√²³]|\b(exp|log|sqrt)\b ?[(\d]", re.I)
 DERIVED = re.compile(r"\bpi\b|\beps\b")
 _SUMS = ast.UnaryOp | ast.BinOp | ast.operator | ast.unaryop
