@@ -7,7 +7,6 @@ import numpy as np
 
 from .._types import Floats
 from .defect import Defect, defect_of
-from .families import Families, particles_of_families
 from .family import (
     OF_MISFIT,
     Family,
@@ -105,14 +104,6 @@ def pieces_density(density: ParticleDensity, pieces: Pieces, **changes: Any) -> 
         one = gaussian_family(pieces.mean[0], pieces.cov[0], 2)
         return family_density(density, one, **{"gaussian": True} | changes)
     return ParticleDensity(**particles_of_pieces(pieces), **_about(density) | {"gaussian": False} | changes)
-
-
-def families_density(density: ParticleDensity, families: Families, **changes: Any) -> ParticleDensity:
-    """A density as the sum of families; one alone is a family."""
-    if len(families.log_w) == 1:
-        return family_density(density, families.one(0), **{"gaussian": False} | changes)
-    about = _about(density) | {"gaussian": False} | changes
-    return ParticleDensity(**particles_of_families(families), **about)
 
 
 def _about(density: ParticleDensity) -> dict[str, Any]:

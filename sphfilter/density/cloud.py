@@ -10,11 +10,10 @@ import numpy as np
 
 from .._types import Floats, OfStates
 from ..core.cloud import weights
-from ..core.limits import LOOK, TINY
+from ..core.limits import TINY
 from ..core.sph.kernels import Kernel
 from ..model.domain import Domain
 from . import mixture
-from .families import Families
 from .local_kernels import local_kernels
 from .points import moments
 from .quasi_random import systematic, weighted_points
@@ -109,26 +108,12 @@ def smoothing_length(mass: Floats, cov: Floats) -> Floats:
 
 def points_of(density: "ParticleDensity", count: int, key: int) -> tuple[Floats, Floats]:
     """Quasi-random points (count, n) with weights (count,) that stand for a density of any kind."""
-    whole = density.family or density.families
-    if whole is None:
+    if density.family is None:
         return drawn(density, count, key), np.full(count, 1.0 / count)
-    if density.families is not None and count > LOOK * len(density.families.log_w):
-        return _of_each(density.families, count, key)
     assert density.moments is not None
-    x, mass = weighted_points(whole.log_p, density.moments, count, key)
+    x, mass = weighted_points(density.family.log_p, density.moments, count, key)
     x = matched(x, mass, *density.moments)
     return (x if density.domain is None else density.domain.fold(x)), mass
-
-
-def _of_each(families: Families, count: int, key: int) -> tuple[Floats, Floats]:
-    """Points of every family, as many as its share says."""
-    own, seen, parts = systematic(families.w, count), families.looked_at(), []
-    for k, each in zip(*np.unique(own, return_counts=True), strict=True):
-        about = seen.mean[k], seen.cov[k]
-        x, mass = weighted_points(families.one(k).log_p, about, int(each), key)
-        parts.append((matched(x, mass, *about) if each > LOOK else x, mass * (each / count)))
-    x, mass = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return x, mass
 
 
 def matched(x: Floats, mass: Floats, mean: Floats, cov: Floats) -> Floats:

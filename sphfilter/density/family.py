@@ -73,9 +73,9 @@ class Family(NamedTuple):
     def middles(self) -> None:
         """One family has none of its own, other than its mean."""
 
-    def shape(self, x: Floats, mass: Floats, moments: Moments, domain: Domain | None) -> Shape:
-        """The shape of a density with nodes x (N, n) and their masses; in a domain it lies on a lattice."""
-        whole = Exponential(self.log_p, x, mass, moments, None)
+    def shape(self, moments: Moments, domain: Domain | None) -> Shape:
+        """The shape of a density of these moments; in a domain it lies on a lattice."""
+        whole = Exponential(self, moments)
         return whole if domain is None else Folded(whole.laid, domain)
 
     def normalised(self) -> "Family":
@@ -174,9 +174,9 @@ def particles_of(family: Family) -> dict[str, Any]:
 
 
 def family_on_lattice(
-    log_p: OfStates, moments: Any, n_particles: int, middles: Floats | None
+    log_p: OfStates, moments: Any, n_particles: int, middles: Floats | None = None
 ) -> LatticeDensity:
-    """A density of given moments on a lattice of at most so many nodes, from its `middles` (K, n)."""
+    """A density of given moments on a lattice of at most so many nodes, from its `middles` (K, n) or mean."""
     mean, cov = moments
     n_particles = max(n_particles, fewest_particles(len(mean)))
     depth = 0.5 * lattice_reach(None, len(mean)) ** 2
@@ -186,24 +186,20 @@ def family_on_lattice(
 
 @dataclass(frozen=True, eq=False)
 class Exponential(Shape):
-    """One exponential family, or a few: density and moments by polynomials, all else on a lattice laid."""
+    """One exponential family: density and moments by polynomials, all else on a lattice laid."""
 
-    log_p: OfStates
-    x: Floats  # (N, n), their nodes
-    mass: Floats  # (N,)
+    family: Family
     moments: Moments
-    middles: Floats | None  # (K, n), of several families
 
     @cached_property
     def laid(self) -> Polynomials:
         """The family's density on a lattice."""
-        laid = family_on_lattice(
-            self.log_p, self.moments, _NODES.get(self.x.shape[1], _MOST_NODES), self.middles
-        )
+        count = _NODES.get(len(self.family.mu), _MOST_NODES)
+        laid = family_on_lattice(self.family.log_p, self.moments, count)
         return Polynomials(laid.field, laid.x, laid.mass, self.moments)
 
     def logpdf(self, X: Floats) -> Floats:
-        return self.log_p(X)
+        return self.family.log_p(X)
 
     def gradient(self, X: Floats) -> Floats:
         frame = np.linalg.cholesky(self.moments[1]).T
@@ -218,7 +214,7 @@ class Exponential(Shape):
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
         """States in every cell of the lattice; of many states points spread evenly, with weights."""
-        if self.x.shape[1] <= _ON_LATTICE:
+        if len(self.family.mu) <= _ON_LATTICE:
             return self.laid.states(count, smooth)
         return weighted_points(self.logpdf, self.moments, _POINTS, 0)
 

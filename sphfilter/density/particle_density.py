@@ -20,7 +20,6 @@ from ..validate import array, choice, generator, row, state_rows
 from . import statistics
 from .cloud import Cloud
 from .defect import Defect
-from .families import Families
 from .family import Family
 from .marginal import around
 from .memory import Memory
@@ -56,8 +55,8 @@ class ParticleDensity(Noted):
         around its cut edge; the pdf is the exponential of the `field`, tails included), "cloud" (sums over
         weighted points; the pdf is that of kernels as wide as the density about each is), "family" (the
         exponential of one polynomial, and a lattice laid for what has no closed form) or "pieces" (a few
-        Gaussians, or families). Questions about the density between the points, read as "points", are
-        answered by the mixture.
+        Gaussians). Questions about the density between the points, read as "points", are answered by the
+        mixture.
     represented_mass : float
         Probability of the region the particles cover, where the density was cut; one if unknown.
     log_density : ndarray, shape (N,), or None
@@ -91,8 +90,6 @@ class ParticleDensity(Noted):
         What the family leaves out, where that is known.
     pieces : Pieces or None
         Gaussians that the density is the sum of.
-    families : Families or None
-        Exponential families that the density is the sum of.
     needs : Memory or None
         What its last steps needed, where a target error chooses how it is represented, as with
         ``n_particles="auto"``; None where a number of particles does.
@@ -139,7 +136,6 @@ class ParticleDensity(Noted):
     family: Family | None = None
     defect: Defect | None = None
     pieces: Pieces | None = None
-    families: Families | None = None
     needs: Memory | None = None
 
     def __post_init__(self) -> None:
@@ -246,9 +242,9 @@ class ParticleDensity(Noted):
     def _shape(self, kind: ReadOut) -> Shape:
         """The shape that is read as `kind`."""
         shape: Kernels | Polynomials
-        formula: Any = {"family": self.family, "pieces": self.pieces or self.families}.get(kind)
+        formula: Any = {"family": self.family, "pieces": self.pieces}.get(kind)
         if formula is not None:
-            return formula.shape(self.x, self.mass, self.moments, self.domain)
+            return formula.shape(self.moments, self.domain)
         if kind == "log_density" and self.field is not None:
             shape = Polynomials(self.field, self.x, self.mass, self.moments)
         else:
@@ -443,6 +439,6 @@ class ParticleDensity(Noted):
         return self._read("mixture" if kind is None and self.read_out == "points" else kind)
 
 
-def formula_of(density: ParticleDensity) -> Family | Pieces | Families | None:
+def formula_of(density: ParticleDensity) -> Family | Pieces | None:
     """What says log p of a density everywhere, a family or a sum; None where nodes, points or kernels do."""
-    return density.family or density.pieces or density.families
+    return density.family or density.pieces

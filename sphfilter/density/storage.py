@@ -14,8 +14,10 @@ from typing import Any, BinaryIO, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from .._types import Floats
 from .._version import __version__
 from ..core.cloud.blocks import blocks_of
+from ..core.cloud.control import SHADOW
 from ..core.cloud.pace import Bias
 from ..core.field.fitting import build_field
 from ..core.field.stencils import stencils
@@ -23,20 +25,22 @@ from ..errors import ModelError
 from ..model.domain import Domain
 from ..model.dynamics import Dynamics
 from .as_cloud import cloud_density, cloud_of
+from .cloud import matched
 from .defect import Defect
-from .families import Families
 from .family import Family
 from .memory import Memory
 from .particle_density import ParticleDensity
 from .passage import gone_again
 from .pieces import Pieces
 from .points import NO_LINES, CloudState, Origin, Pace, Passage, Path, Points, Told, moments
+from .quasi_random import weighted_points
 
 #: Arrays by name.
 Arrays: TypeAlias = dict[str, NDArray[Any]]
 FORMAT = 1
-_FORMULAS: dict[str, Any] = {"family": Family, "pieces": Pieces, "families": Families}
+_FORMULAS: dict[str, Any] = {"family": Family, "pieces": Pieces}
 _ARRAYS = "x", "mass", "h", "log_density", "invariant"
+_OF_FAMILIES = 2**12  # points of a sum of families: random ones would have a mean within 1 / √2^12 = .016
 _FIELD = "mu", "A", "node", "kept", "log_p"  # what a field is built from
 
 
@@ -98,6 +102,8 @@ def density_from(arrays: Arrays, models: Sequence[Dynamics] = ()) -> ParticleDen
         about["moments"] = arrays["moments.mean"], arrays["moments.cov"]
     if "cloud.points.x" in arrays:
         return _cloud_from(part("cloud", arrays), about, models)
+    if "families.mu" in arrays:
+        return _points_of_families(part("families", arrays), about)
     about |= {name: arrays[name] for name in _ARRAYS if name in arrays}
     return ParticleDensity(**about)
 
@@ -150,9 +156,29 @@ def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[Dynamics
     inherited, age = float(arrays.get("inherited", 0.0)), int(arrays.get("age", 0))  # older files have none
     origin = _origin_from(part("origin", arrays)) if "origin.mu" in arrays else None
     state = CloudState(points, shadow, size, Told(*arrays["told"].tolist()), pace, inherited, age, origin)
-    del about["read_out"], about["kernel"]
-    begun = ParticleDensity(x=points.x[:1], mass=np.ones(1), h=np.ones(1), **about)
-    return cloud_of(begun, state, moments(points.x, points.w), **about)
+    return _as_cloud(state, about)
+
+
+def _as_cloud(state: CloudState, about: dict[str, Any]) -> ParticleDensity:
+    """A state of points as the cloud that it is of."""
+    own = {name: value for name, value in about.items() if name not in ("read_out", "kernel", "moments")}
+    begun = ParticleDensity(x=state.points.x[:1], mass=np.ones(1), h=np.ones(1), **own)
+    return cloud_of(begun, state, moments(*state.points[:2]), **own)
+
+
+def _points_of_families(arrays: Arrays, about: dict[str, Any]) -> ParticleDensity:
+    """A sum of exponential families, which was taken out, as points that stand for it."""
+    families = [Family(*each) for each in zip(*(arrays[name] for name in Family._fields), strict=True)]
+
+    def log_p(X: Floats) -> Floats:
+        each = [log_w + one.log_p(X) for log_w, one in zip(arrays["log_w"], families, strict=True)]
+        return np.asarray(np.logaddexp.reduce(each))
+
+    x, w = weighted_points(log_p, about["moments"], _OF_FAMILIES, 0)
+    points = Points(matched(x, w, *about["moments"]), w)
+    few = w[::SHADOW] / w[::SHADOW].sum()
+    state = CloudState(points, Points(points.x[::SHADOW], few), _OF_FAMILIES, inherited=about["error"])
+    return _as_cloud(state._replace(age=(about["needs"] or Memory()).age), about)
 
 
 def _origin_from(arrays: Arrays) -> Origin:

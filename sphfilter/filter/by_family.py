@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .._types import Floats, OfStates
+from .._types import Floats
 from ..core.limits import ALIKE, LARGEST_EXPONENT, LOOK
 from ..density.as_family import defect_in, family_density, family_of, moments_on_line
 from ..density.cloud import points_of
@@ -27,9 +27,6 @@ _APART = 2.5
 _ELSEWHERE = 4  # of the key of an age: these points
 _MORE, _NEGLIGIBLE = 2.0, 9.0  # in logarithms: of a posterior over its family, and below its peak
 _LOST = 1e3  # an error that is as bad as any
-
-#: Logarithm of a density, and its mean and covariance.
-Shape = tuple[OfStates, tuple[Floats, Floats]]
 
 
 def by_family(
@@ -60,8 +57,7 @@ def family_update(
     found = family_posterior(prior, asked.weight_on(density.domain), _linearised(density, asked))
     missed, of_evidence = 0.0, found.evidence_apart
     if not asked.linear:
-        both = (prior.log_p, _moments(prior)), (found.family.log_p, _moments(found.family))
-        missed, nats = errors_beyond_nodes(density, asked, *both, found.log_evidence)
+        missed, nats = _errors_beyond_nodes(density, asked, prior, found.family, found.log_evidence)
         of_evidence = math.hypot(of_evidence, nats)
     new = family_density(density, found.family, capacity=n_particles, gaussian=False)
     moments, before = (moments_on_line(density), moments_on_line(new)), defect_in(density, prior, misfit)
@@ -111,8 +107,8 @@ def _kalman(density: ParticleDensity, asked: ReadingAtPrior, degree: int) -> tup
     return (found, evidence) if math.isfinite(evidence) else None
 
 
-def errors_beyond_nodes(
-    density: ParticleDensity, asked: ReadingAtPrior, prior: Shape, posterior: Shape, log_evidence: float
+def _errors_beyond_nodes(
+    density: ParticleDensity, asked: ReadingAtPrior, prior: Family, posterior: Family, log_evidence: float
 ) -> tuple[float, float]:
     """Errors of the posterior's family, standard deviations, and of the log-evidence, as points of the prior
     see it.
@@ -129,7 +125,7 @@ def errors_beyond_nodes(
     key = stored_key(age_of(density), _ELSEWHERE)
     X, mass = points_of(replace(density, domain=None), _LOOKED_AT, key)
     weight = asked.weight_on(density.domain)
-    (log_prior, (mean, cov)), (log_posterior, (own_mean, own_cov)) = prior, posterior
+    (_, cov), (own_mean, own_cov) = _moments(prior), _moments(posterior)
     root = np.linalg.inv(np.linalg.cholesky(own_cov))
     states = asked.explained(X[:: _LOOKED_AT // LOOK], _APART * np.linalg.cholesky(cov))
     share = math.exp(0.5 * (np.linalg.slogdet(own_cov)[1] - np.linalg.slogdet(cov)[1]))
@@ -137,19 +133,19 @@ def errors_beyond_nodes(
         raise PropagationError("one family may not be all that is left of so sharp a likelihood")
 
     if states is not None and len(states):
-        true = log_prior(states) + weight(states) - log_evidence
-        below = log_posterior(own_mean[None]) - true
+        true = prior.log_p(states) + weight(states) - log_evidence
+        below = posterior.log_p(own_mean[None]) - true
         far = (((states - own_mean) @ root.T) ** 2).sum(axis=1)  # a peak that far off widens a variance so
         there = below < np.maximum(_NEGLIGIBLE, np.log(np.maximum(far, 1.0) / (1.0 - ALIKE)))
-        if np.any(there & (true - log_posterior(states) > _MORE)):
+        if np.any(there & (true - posterior.log_p(states) > _MORE)):
             raise PropagationError(
                 "one family does not hold the posterior: other states explain the reading too"
             )
-    likely, own = weight(X) - log_evidence, log_posterior(X) - log_prior(X)
+    likely, own = weight(X) - log_evidence, posterior.log_p(X) - prior.log_p(X)
     off = mass * (np.exp(np.minimum(likely, LARGEST_EXPONENT)) - np.exp(np.minimum(own, LARGEST_EXPONENT)))
     y = (X - own_mean) @ root.T
     with np.errstate(over="ignore", invalid="ignore"):  # of a family that is nowhere near
-        apart = moments_apart(off @ y, (y * off[:, None]).T @ y - off.sum() * np.eye(len(mean)))
+        apart = moments_apart(off @ y, (y * off[:, None]).T @ y - off.sum() * np.eye(len(cov)))
     return min(apart, _LOST), min(abs(float(off.sum())), _LOST)
 
 

@@ -4,22 +4,18 @@ import math
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from ..config import FilterConfig
 from ..density.as_family import as_polynomials
 from ..density.defect import ROUGH
 from ..density.memory import Memory, error_budget, flagged_from, min_nodes, tolerated_excess
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
-from ..errors import PropagationError
 from ..info import DOUBTFUL, Code, may_be_off
 from ..prediction.again import MOST
 from ..prediction.family import fits_density
 from ..prediction.ladder import becomes_cloud, best_family, first_degree, prefers_cloud
 from ..prediction.to_target import ORDER
 from .by_cloud import by_cloud
-from .by_families import by_families
 from .by_family import family_update
 from .by_lattice import by_lattice
 from .by_pieces import by_pieces
@@ -46,7 +42,7 @@ def by_ladder(
     exact = asked.linear and density.gaussian
     if density.read_out == "cloud" or (by_cloud and not exact and becomes_cloud(density.dim, needs, target)):
         return _on_cloud(density, asked, target, config, needs)
-    found = _on_families(density, asked, target, needs) or _on_family(density, asked, target, needs)
+    found = _on_family(density, asked, target, needs)
     if found is not None and by_cloud and found[1]["error"] > tolerated_excess(density.dim) * target:
         found = None  # what the reading made of the prior's error, no family tells
     if found is not None:
@@ -79,22 +75,6 @@ def _on_family(
         return None
     (new, said), degree, _ = best
     return new.noted(needs=needs.followed(degree)), _flagged_if_missed(said, target)
-
-
-def _on_families(
-    density: ParticleDensity, asked: ReadingAtPrior, target: float, needs: Memory
-) -> Posterior | None:
-    """The posterior as a few families, or one if that holds it; None where they will not do."""
-    if density.families is None:
-        return None
-    try:
-        degree, allowed = first_degree(density.dim, needs), error_budget(density.error, target)
-        new, said = by_families(density, asked, degree, allowed)
-    except (PropagationError, np.linalg.LinAlgError):
-        return None
-    if not said["error"] <= tolerated_excess(density.dim) * target:
-        return None
-    return new.noted(needs=needs), _flagged_if_missed(said, target)
 
 
 def _on_pieces(density: ParticleDensity, asked: ReadingAtPrior, target: float, needs: Memory) -> Posterior:

@@ -25,9 +25,8 @@ from ._shared import blow_up, skip_notes
 from .time_slices import drift_slices, noise_samples
 
 HIGHEST = 6  # degree that is taken unless another is asked for
-OF_RESIDUAL = 0.3  # part of what the polynomials cannot follow, that errors are estimated by
+_OF_STEPS = 0.3  # part of the errors of the steps, that errors are estimated by
 _LOST = 1.0  # standard deviations that the mean may be off by
-_MOST_MISSED = 1.0  # of log p, as rms: density missed is more than there is, as exp(1) - 1 > 1
 _NOT_FOLLOWED = (
     "no polynomial of this degree follows the logarithm of the density; predict over a shorter interval, or "
     "use another scheme"
@@ -95,8 +94,7 @@ def carried_family(
     start, misfit = family_of(density, degree)
     packed = defect_in(density, start, misfit).packed
     y = np.concatenate([start.mu, start.A.ravel(), start.c])
-    longest = longest_step(model, density, t1)
-    control = Control(density.t, t1, scheme.tolerance, longest, scheme.max_steps, _MOST_MISSED)
+    control = Control(density.t, t1, scheme.tolerance, _longest_step(model, density, t1), scheme.max_steps)
     with surfacing():
         report = march(
             flow_of(model), basis(n, degree), beyond(n, degree), turned(n, degree), control, y, packed
@@ -105,7 +103,7 @@ def carried_family(
         raise _given_up(model, y, report, density.t, t1)
     moved = Family(y[:n].copy(), y[n : n + n * n].reshape(n, n).copy(), y[n + n * n :].copy()).normalised()
     defect, astray = Defect.of(packed, n), moved.astray
-    of_steps = OF_RESIDUAL / OF_UNSIGNED * report.stepping
+    of_steps = _OF_STEPS / OF_UNSIGNED * report.stepping
     defect = defect._replace(U=defect.U + of_steps**2 * moved.A @ moved.A.T)
     read = read_out(moved, defect)
     error, of_variance = math.hypot(read.error, astray), math.hypot(read.variance, math.sqrt(2.0) * astray)
@@ -144,7 +142,7 @@ def flow_of(model: SDE) -> Flow:
     )
 
 
-def longest_step(model: SDE, density: ParticleDensity, t1: float) -> float:
+def _longest_step(model: SDE, density: ParticleDensity, t1: float) -> float:
     """Longest step, seconds, that sees a model change in time."""
     if model.autonomous:
         return model.max_step

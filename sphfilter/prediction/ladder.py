@@ -1,7 +1,6 @@
 """The ladder: a prediction takes the cheapest representation that keeps its error within a target.
 
-A Gaussian in closed form, one exponential family and its higher degrees, a few of them where the drift bends,
-then a lattice or a cloud of points.
+A Gaussian in closed form, one exponential family and its higher degrees, then a lattice or a cloud of points.
 What the last steps needed is in the density, `density.needs`: there the next one begins.
 """
 
@@ -26,7 +25,7 @@ from ..model.discrete import DiscreteModel
 from ..model.discretization import linear_transition
 from ..model.dynamics import Dynamics
 from ..model.sde import SDE
-from . import automatic, chapman_kolmogorov, cloud, families, family, pieces
+from . import automatic, chapman_kolmogorov, cloud, family, pieces
 from .again import MOST_WORK
 from .to_target import Time, carried_to_target
 
@@ -39,13 +38,12 @@ _AS_FAMILIES = {1: 2**10, 2: 2**10, 3: 2**10, 4: 0}
 #: As long as a lattice that makes the same error, by states: of one it pays sooner, and knows its tails; of
 #: three and more never. And as families of five and six, of thousands of nodes. (Of the same command.)
 _AS_LATTICES = {1: 2**11, 2: 2**13}
-LATTICE = 2  # states up to which families are not carried in parts
+LATTICE = 2  # states up to which a lattice may come after one family, and a cloud need not
 _LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 #: Evaluations of the drift that a lattice may take for each point of a usual cloud: 15 to 45 ns each, beside
 #: .6 µs of a point, or 5 to 15 times as long, for what it knows of tails. With five times as many three of
 #: eleven scenes took 1.5 to 2.5 times as long; with half a tail was lost, unsaid (`experiments benchmark`).
 _WORK = 200.0
-_NODES = 30.0  # that families ask a model at, over a cloud's points that cost as much
 _FINER = 3  # times the nodes of a first lattice that loses probability
 
 
@@ -147,11 +145,7 @@ def propagate(
     by_cloud = not model.domain.walled.any() and prefers_cloud(density.dim, needs, target)
     if by_cloud and becomes_cloud(density.dim, needs, target):
         return _by_cloud(density, model, t1, target, needs)
-    if density.families is not None:
-        found = _by_families(density, model, t1, target, needs, families.LEVELS)
-        if found is not None:
-            return found
-    elif needs.waits > 0:
+    if needs.waits > 0:
         needs = needs.waited()
     elif not family.why_not(model, density):
         found = _by_family(density, model, t1, target, needs)
@@ -181,7 +175,7 @@ def _closed_form(
 def _by_family(
     density: ParticleDensity, model: SDE, t1: float, target: float, needs: Memory
 ) -> tuple[ParticleDensity, PredictInfo] | None:
-    """Carry one family, of as high a degree as the error asks for, or parts of it; None where none do."""
+    """Carry one family, of as high a degree as the error asks for; None where none will do."""
 
     def carried(degree: int, most: float) -> tuple[tuple[ParticleDensity, PredictInfo], float]:
         scheme = FamilyScheme(degree=degree, tolerance=LITTLE * target)
@@ -189,32 +183,10 @@ def _by_family(
         return (moved, info), math.sqrt(max(info.error**2 - density.error**2, 0.0))
 
     best = best_family(density, target, needs, first_degree(density.dim, needs), carried)
-    in_parts = density.dim > LATTICE and density.domain is None and density.family is not None
-    if in_parts and (best is None or best[2] > 1.0) and families.bent(density, model, t1):
-        levels = families.LEVELS if best is None else 1
-        found = _by_families(density, model, t1, target, needs, levels)
-        if found is not None and (best is None or found[1].error < best[0][1].error):
-            return found
     if best is None:
         return None
     (moved, info), degree, used = best
     return moved.noted(needs=needs.followed(degree - (used < LITTLE))), info
-
-
-def _by_families(
-    density: ParticleDensity, model: SDE, t1: float, target: float, needs: Memory, levels: int
-) -> tuple[ParticleDensity, PredictInfo] | None:
-    """Carry a few families, or one in parts; None where a cloud would be cheaper."""
-    most = _NODES * needs.cloud(target)
-    try:
-        allowed = error_budget(density.error, target)
-        moved, info = families.carried_families(density, model, t1, allowed, most, levels)
-    except (PropagationError, np.linalg.LinAlgError):
-        return None
-    if not info.error <= tolerated_excess(density.dim) * target:
-        return None
-    degree = max(d for d in degrees(density.dim) if d <= family.HIGHEST)
-    return moved.noted(needs=needs.followed(degree)), info
 
 
 def _by_pieces(

@@ -28,7 +28,6 @@ from ..density.as_family import (
 )
 from ..density.cloud import points_of
 from ..density.defect import Defect, defect_of
-from ..density.families_posterior import AWAY
 from ..density.family import OF_MISFIT, fitted, moments_apart, node_moments
 from ..density.memory import Memory, min_nodes
 from ..density.merging import OF_CHANGE, merged
@@ -45,6 +44,7 @@ from . import family
 from .again import MOST
 from .ladder import first_degree, prefers_cloud
 
+_AWAY = 3.0  # standard deviations at which what is lost may lie: 2 Φ(-3) = .003 of a Gaussian lies beyond
 _CHANGE = 1.0 / OF_CHANGE  # times the aim, that mergers may change log p by: as much as makes all of it
 _MOMENTS = ParticleDensity.mean, ParticleDensity.cov
 _MOST_PIECES, _COARSER = 200, 5  # of a sum, and times that it may change more until it has no more
@@ -70,7 +70,7 @@ def mixed(parts: Sequence[Part], target: float, errors: tuple[float, float]) -> 
     target : float
         Error of the mean, in standard deviations, that a record may have.
     errors : tuple of float
-        That may be added by merging Gaussians and families, and by laying a lattice.
+        That may be added by merging Gaussians, and by laying a lattice.
 
     Returns
     -------
@@ -85,7 +85,7 @@ def mixed(parts: Sequence[Part], target: float, errors: tuple[float, float]) -> 
     allowed, by_lattice = errors
     parts, lost = _heavy(_joined(parts), allowed)
     w = np.exp([part.log_w for part in parts])
-    error = math.hypot(math.sqrt(float(w @ [part.density.error**2 for part in parts])), AWAY * lost)
+    error = math.hypot(math.sqrt(float(w @ [part.density.error**2 for part in parts])), _AWAY * lost)
     first = parts[0].density
     if len(parts) == 1:
         return first.noted(error=error)
@@ -128,7 +128,7 @@ def _heavy(parts: list[Part], allowed: float) -> tuple[list[Part], float]:
     """The parts but for the lightest, and the probability of those."""
     w = np.exp([part.log_w for part in parts])
     means, covs = (np.array([f(part.density) for part in parts]) for f in _MOMENTS)
-    heavy = ~light(w, means, covs, LITTLE * allowed, AWAY)
+    heavy = ~light(w, means, covs, LITTLE * allowed, _AWAY)
     scale = math.log(w[heavy].sum())
     left = [part._replace(log_w=part.log_w - scale) for part, kept in zip(parts, heavy, strict=True) if kept]
     return left, float(w[~heavy].sum())
@@ -157,10 +157,10 @@ def _as_pieces(parts: Sequence[Part], about: ParticleDensity, allowed: float) ->
         return None
     several = [_pieces_of(part) for part in parts]
     union = Pieces(*(np.concatenate(part) for part in zip(*several, strict=True))).normalised()
-    kept = union.heavy(LITTLE * allowed, AWAY)
+    kept = union.heavy(LITTLE * allowed, _AWAY)
     lost = float(union.w[~kept].sum())
     pieces, change = _few(*merged(union.some(kept).normalised(), _CHANGE * allowed), _CHANGE * allowed)
-    error = math.hypot(about.error, OF_CHANGE * change, AWAY * lost)
+    error = math.hypot(about.error, OF_CHANGE * change, _AWAY * lost)
     return pieces_density(about, pieces, error=error).noted(needs=about.needs)
 
 
@@ -190,7 +190,7 @@ def _pieces_of(part: Part) -> Pieces:
 def _as_family(parts: Sequence[Part], about: ParticleDensity, allowed: float) -> ParticleDensity | None:
     """One family, of as low a degree as the error lets it be; None where none holds the sum."""
     domain = about.domain
-    smooth = all(p.density.family or p.density.field or p.density.families or p.density.pieces for p in parts)
+    smooth = all(p.density.family or p.density.field or p.density.pieces for p in parts)
     if about.needs is None or not smooth or (domain is not None and domain.walled.any()):
         return None
     mean, cov = _moments(parts)

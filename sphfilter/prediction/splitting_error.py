@@ -123,13 +123,9 @@ def splitting_error(
 
 def _narrow(density: ParticleDensity) -> tuple[Floats, Floats]:
     """Mean (n,) and covariance (n, n) of a density, or of its heaviest part with all that lies about it."""
-    if density.pieces is not None:
-        w, middle, own = density.pieces.w, density.pieces.mean, density.pieces.cov
-    elif density.families is not None:
-        A = density.families.A
-        w, middle, own = density.families.w, density.families.mu, np.einsum("kab,kcb->kac", A, A)
-    else:
+    if density.pieces is None:
         return moments_on_line(density)
+    w, middle, own = density.pieces.w, density.pieces.mean, density.pieces.cov
     mean, cov, found = middle[0], own[0], np.zeros(len(w), bool)
     for _ in range(ROUNDS):
         z = np.linalg.solve(np.linalg.cholesky(cov), (middle - mean).T)

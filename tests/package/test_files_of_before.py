@@ -31,7 +31,9 @@ import sphfilter as sf
 from experiments.commands import main
 from experiments.scene.scenario import read_settings
 from sphfilter.campaign import store
+from sphfilter.density.family import Family, gaussian_family
 from sphfilter.density.memory import Memory
+from sphfilter.density.points import moments_of_sum
 from sphfilter.density.storage import density_from, stored
 
 FOLDER = Path(__file__).parents[1] / "data" / "before_the_rooms"
@@ -205,6 +207,30 @@ def test_a_command_goes_on_from_its_folder(tmp_path, monkeypatch):
         judged = said["report"]["filters"][name]
         for key in ("rms_error", "max_peak_error", "nees", "log_evidence", "run_time"):
             np.testing.assert_allclose(judged[key], numbers[key], rtol=1e-9)
+
+
+def test_a_sum_of_families_goes_on_as_points():
+    """Such a density was taken out: points have its mean, covariance and shape, and the error told of it."""
+    w, mu, cov = np.array([0.8, 0.2]), np.array([[0.0, 0.0, 0.5], [2.0, -1.0, 0.5]]), np.diag([0.5, 0.4, 0.3])
+    families = [gaussian_family(middle, cov, 5) for middle in mu]
+    mean, whole = moments_of_sum(w, mu, np.array([cov, cov]))
+    arrays = stored(replace(sf.initialize(sf.Gaussian(mean, whole), "auto"), error=0.04))
+    about = json.loads(str(arrays["about"])) | {"read_out": "pieces", "gaussian": False}
+    arrays = {name: arrays[name] for name in ("x", "mass", "h", "moments.mean", "moments.cov")}
+    arrays |= {"about": np.array(json.dumps(about)), "families.log_w": np.log(w)}
+    arrays |= {
+        f"families.{name}": np.array([getattr(one, name) for one in families]) for name in Family._fields
+    }
+    density = density_from(arrays)
+    assert density.read_out == "cloud" and density.needs == Memory(*about["needs"])
+    np.testing.assert_allclose(density.mean(), mean, atol=1e-12)
+    np.testing.assert_allclose(density.cov(), whole, atol=1e-12)
+    skewed = w @ ((mu - mean)[:, 0] ** 3 + 3.0 * (mu - mean)[:, 0] * cov[0, 0])
+    assert density.moment([3, 0, 0], central=True) == pytest.approx(skewed, abs=0.02)
+    model = sf.SDE.from_expressions(["x", "y", "a"], ["cos(a)", "sin(a)", "0"], [["0.3"], ["0.3"], ["0.3"]])
+    moved, info = sf.predict(density, model, 0.5, n_particles="auto")
+    assert moved.t == 0.5 and info.rung == "cloud" and 0.04 < info.error < 0.06
+    assert density_from(stored(moved), (model,)).read_out == "cloud"
 
 
 def test_needs_of_seven_numbers():

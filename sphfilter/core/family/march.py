@@ -19,6 +19,7 @@ STATUS = "ok", "stalled", "too many steps", "not finite", "astray"
 _OFF = 0.15  # of the moments in the frame, from which it follows
 _TRIES = 5  # steps refused one after the other: each a fifth of the last or less, 5^-5 = 3e-4 of the first
 
+_MISSED = 1.0  # of log p, as rms, at which it is given up: more is missed than there is, as exp(1) - 1 > 1
 _MOST = 0.7  # norm of a defect's polynomial: of exp(.7) - 1 the second order is a quarter
 
 #: Squarings of 1 + x + x²/2 for x over 2^4: exp(1) to 6e-4, stable up to |x| = 32.
@@ -35,7 +36,6 @@ class Control(NamedTuple):
     tolerance: float  # error of a step, in units of the frame
     longest: float  # step, seconds
     max_steps: int
-    most_residual: float  # at which it is given up
 
 
 class Report(NamedTuple):
@@ -54,23 +54,22 @@ class Report(NamedTuple):
 def march(flow, basis, beyond, turned, control, y, defect):
     """Carry y = (mu, A, c) and its defect from t to t1, in place; returns a `Report`.
 
-    A defect is what `defect_rates` describes, or of size zero where none is asked for. It goes by exponential
-    steps of second order (Cox and Matthews 2002), which do not decide how long they are. What the nodes of a
-    rule see nothing of, such as a bend between two of them, those of the `turned` one tell at both ends.
+    A defect is what `defect_rates` describes. It goes by exponential steps of second order (Cox and Matthews
+    2002), which do not decide how long they are. What the nodes of a rule see nothing of, such as a bend
+    between two of them, those of the `turned` one tell at both ends.
     """
     own, n, rates = work(beyond, flow.state_dependent), basis.xi.shape[1], rates_at(flow.rates)
     unseen = np.zeros(2)
     k, trial, error = np.empty((7, y.size)), np.empty(y.size), np.empty(y.size)
-    slope, other, told = np.empty((2, defect.size)), np.empty((2, defect.size)), defect.size > 0
+    slope, other = np.empty((2, defect.size)), np.empty((2, defect.size))
     t, residual, stepping, steps, rejected, refused, asked = control.t, 0.0, 0.0, 0, 0, 0, 1
     before = math.sqrt(rates(flow, basis, own, t, y, k[0]))
     speed = _norm(own, n, k[0])
     if not math.isfinite(speed):
         return Report(NOT_FINITE, t, 0, 0, 1, 0.0, 0.0)
     h = min(control.t1 - t, control.longest, control.tolerance**0.2 / max(speed, TINY))
-    if told:
-        _add_unseen(flow, turned, t, y, k[0], before, unseen)
-        defect_at(flow.defect)(flow, basis, beyond, own, y, k[0], defect, slope)
+    _add_unseen(flow, turned, t, y, k[0], before, unseen)
+    defect_at(flow.defect)(flow, basis, beyond, own, y, k[0], defect, slope)
     while t < control.t1:
         if steps + rejected >= control.max_steps:
             return Report(TOO_MANY, t, steps, rejected, asked, residual, stepping)
@@ -95,30 +94,29 @@ def march(flow, basis, beyond, turned, control, y, defect):
         t, steps, refused = control.t1 if last else t + h, steps + 1, 0
         for e in range(y.size):
             y[e] = trial[e]
-        if told:
-            for e in range(defect.size):
-                defect[e] += h * _phi(h * slope[1, e])[0] * slope[0, e]
-            inverse(y[n : n + n * n].reshape((n, n)), own.inverse)  # as the rates k[6] have left it
-            defect_at(flow.defect)(flow, basis, beyond, own, y, k[6], defect, other)
-            _shear(h, n, slope[1], other[1], defect)
-            for e in range(defect.size):
-                z = h * slope[1, e]
-                defect[e] += h * _phi(z)[1] * (other[0, e] - math.exp(-z) * slope[0, e])
-            _bounded(defect[: beyond.V.shape[0]])
+        for e in range(defect.size):
+            defect[e] += h * _phi(h * slope[1, e])[0] * slope[0, e]
+        inverse(y[n : n + n * n].reshape((n, n)), own.inverse)  # as the rates k[6] have left it
+        defect_at(flow.defect)(flow, basis, beyond, own, y, k[6], defect, other)
+        _shear(h, n, slope[1], other[1], defect)
+        for e in range(defect.size):
+            z = h * slope[1, e]
+            defect[e] += h * _phi(z)[1] * (other[0, e] - math.exp(-z) * slope[0, e])
+        _bounded(defect[: beyond.V.shape[0]])
         h = min(next_step(h, off, 5.0), control.longest)
         followed = _follow(basis, beyond, y, defect, 0.0 if t >= control.t1 else _OFF)
-        if followed < 0 or not residual < control.most_residual:
+        if followed < 0 or not residual < _MISSED:
             return Report(ASTRAY, t, steps, rejected, asked, residual, stepping)
-        if followed > 0 and (told or t < control.t1):
+        if followed > 0:
             before = math.sqrt(rates(flow, basis, own, t, y, k[0]))
             asked += t < control.t1  # at the end it tells an error, and is of no step
         else:
             before = after
             for e in range(y.size):  # not k[0] = k[6]: numba compiles forty functions for that
                 k[0, e] = k[6, e]
-        if told and t < control.t1:
+        if t < control.t1:
             defect_at(flow.defect)(flow, basis, beyond, own, y, k[0], defect, slope)
-    if told and steps > 0:
+    if steps > 0:
         _add_unseen(flow, turned, t, y, k[0], before, unseen)
         span, last, A = t - control.t, defect.size - 1, y[n : n + n * n].reshape((n, n))
         defect[last] += 0.5 * span * _phi(span * slope[1, last])[0] * unseen[1]
@@ -232,6 +230,5 @@ def _follow(basis, beyond, y, defect, least):
         return 0
     root_between(C, SHRINK, GROW, root)
     reframed(basis, mu, A, c, b, root)
-    if defect.size > 0:
-        refitted(beyond, defect[: beyond.V.shape[0]], b, root)
+    refitted(beyond, defect[: beyond.V.shape[0]], b, root)
     return 1
