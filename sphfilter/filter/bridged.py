@@ -14,9 +14,9 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.cloud.blocks import blocks_of, centres
-from ..core.cloud.bridge import MISSED, MORE, REST
+from ..core.cloud.bridge import MISSED, MORE
 from ..core.cloud.guide import look_ahead, over_both
-from ..core.cloud.reading import WIDER
+from ..core.cloud.reading import PARTS, WIDER
 from ..core.cloud.weights import effective, normalise
 from ..core.limits import TINY
 from ..density.passage import LED, along, gone, normals, relinearised, stored_key, sub_key
@@ -101,6 +101,6 @@ def _halved(passages: Any, x: Floats, key: Any) -> tuple[Passage, ...]:
             first = first._replace(leg=first.leg._replace(steps=steps))
     c, out = centres(columns(x)), []
     for k, passage in enumerate([first, *later]):
-        out.append(relinearised(passage, c, stored_key(key, REST + k)))
+        out.append(relinearised(passage, c, stored_key(key, PARTS + k)))
         c = out[-1].end
     return tuple(out)

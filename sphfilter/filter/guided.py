@@ -96,7 +96,7 @@ def _at_once(points: Points, sensor: Stacked, key: int) -> Carried | None:
     if way is None:
         return None
     with surfacing():
-        x, log_w, ancestor, wrong = weigh(*way, nets_of(*points.x.shape), key)
+        x, log_w, ancestor, wrong = weigh(way, nets_of(*points.x.shape), key)
     return None if wrong else Carried.of(x.T, log_w, ancestor, points.older)
 
 
@@ -106,8 +106,8 @@ def _piece_by_piece(points: Points, sensor: Stacked, key: int, least: float) -> 
     if way is None:
         return bridged(points, sensor, key, least)
     with surfacing():
-        about = leading_nets(*points.x.shape), key, least, *places(points.x.shape[1])
-        x, log_w, ancestor, wrong = bridge(*way, *about)
+        about = leading_nets(*points.x.shape), key, least, places(points.x.shape[1])
+        x, log_w, ancestor, wrong = bridge(way, *about)
     if wrong:
         return bridged(points, sensor, key, least)
     return Carried.of(x.T, log_w, ancestor, points.older) if len(log_w) else None

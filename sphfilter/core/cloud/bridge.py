@@ -18,7 +18,7 @@ from .guide import joined, look_ahead, over_both
 from .linearise import linearise_at, lower_and_rows
 from .noise import even_normals, mixed, stored
 from .pace import over
-from .reading import WAY, Part, as_seen, gone, likelihoods, read
+from .reading import PARTS, WAY, Part, as_seen, gone, likelihoods, read
 from .way import AGAIN, FIRST, everywhere
 from .weights import beside, effective, finite_rows, normalise, taken
 
@@ -28,76 +28,95 @@ MORE = 4
 #: Times what linearity misses on average, that a guide sees, which is more in the tails: of 1, 2, 4, 8 and an
 #: outlier of twelve sigma, errors .14 .09 .06 .05. Measured: half and twice are .7 and .9 of an error.
 MISSED = 8.0
-#: Number of a stage's key from which on keys of the parts of the rest of the way are.
-REST = 100
 
 
 @jit
-def bridge(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, nets, key, least, table, bits):
+def bridge(way, nets, key, least, curve):
     """Prior times likelihood by guides over ever shorter rests of the way.
 
-    The arguments are those of `reading.weigh`, with nets of `MORE` times as many normals; the first guide
-    chooses at least so many points, or none are led; table and bits are the curve's. Returns states,
-    logarithms of weights and ancestors as `weigh` does, none where no guide can be made, and how many
-    likelihoods are no number.
+    The way is that of `reading.weigh`; nets are of `MORE` times as many normals; the first guide chooses at
+    least so many points, or none are led; the curve is a table and its bits. Returns states, logarithms of
+    weights and ancestors as `weigh` does, none where no guide can be made, and how many likelihoods are no
+    number.
     """
-    n, N = x.shape
+    reader, leg, linear, _, x, y, w, block, kernel, moved, u, v = way
+    (n, N), count, key, share = x.shape, nets[0].shape[1], np.uint64(key), np.empty(len(w))
     none = np.empty((n, 0)), np.empty(0), np.empty(0, np.int64), 0
-    count, own, share = nets[0].shape[1], mixed(np.uint64(key), np.uint64(0)), np.empty(N)
     total = normalise(np.log(np.maximum(w, TINY)), share)
-    flow, G = joined(kernel.flow, kernel.lower, moved.flow, moved.lower)
-    lower, rows = lower_and_rows(G)
-    whole = products(rows, np.concatenate((u, v)), block)
-    way = flow, lower, moved.end, rows
-    ancestor, new, log_ratio = _led(reader, way, x, y, whole, u, share, block, nets[0], own)
+    change = _one(kernel, moved)
+    points = x, y, u, products(change[3], np.concatenate((u, v)), block), block
+    ancestor, new, log_ratio = _led(reader, change, points, share, nets[0], mixed(key, np.uint64(0)))
     if ancestor.size == 0 or effective(1.0 * np.bincount(ancestor)) < least:
         return none
-    z = gone(leg, True, taken(x, ancestor), new, block[ancestor], kernel, np.uint64(0))
+    z = gone(leg, True, taken(x, ancestor), new, block[ancestor], kernel, key)
     log_w, lineage, stage = total - log_ratio[N:] - math.log(count), ancestor, 0
-    while True:  # each stage takes half of what is left, or its only step
+    while _kept(z, log_w):  # each stage takes half of what is left, or its only step
         stage += 1
-        fine, every = finite_rows(z)
-        at = 0
-        while at < count and not fine[at]:
-            at += 1
-        if at == count:
-            return none
-        for i in range(0 if every else count):
-            if not fine[i]:
-                z[:, i], log_w[i] = z[:, at], -np.inf
-        own = mixed(np.uint64(key), np.uint64(stage))
-        order = along_curve(z, np.full(count, 1.0 / count), table, bits)
-        x, log_w, lineage, block = taken(z, order), log_w[order], lineage[order], blocks_of(count)
-        first, rest = leg, leg
-        parted = not linear and leg.steps > 1
-        if parted:
-            half = (leg.steps + 1) // 2
-            middle, end = leg.t + half * leg.h, leg.t + leg.steps * leg.h
-            first = over(leg, leg.flow, leg.t, middle, half)
-            rest = over(leg, leg.flow, middle, end, leg.steps - half)
-        part, own_key = _linearised(first, linear, moved, centres(x)), stored(own, REST)
-        u = even_normals(nets[1], np.uint64(stored(own, 0)))
-        y = gone(first, linear, x, u, block, part, mixed(np.uint64(own_key), np.uint64(FIRST)))
-        way, whole = (part.flow, part.lower, part.end, np.empty((0, n, n))), u
-        if parted:
-            later, later_key = _linearised(rest, False, moved, part.end), stored(own, REST + 1)
-            v = even_normals(nets[2], np.uint64(stored(own, 1)))
-            y = gone(rest, False, y, v, block, later, mixed(np.uint64(later_key), np.uint64(FIRST)))
-            flow, G = joined(part.flow, part.lower, later.flow, later.lower)
-            lower, rows = lower_and_rows(G)
-            way, whole = (flow, lower, later.end, rows), products(rows, np.concatenate((u, v)), block)
-        share = np.empty(count)
-        total = normalise(log_w, share)
-        ancestor, new, log_ratio = _led(reader, way, x, y, whole, u, share, block, nets[0], own)
+        own = mixed(key, np.uint64(stage))
+        order = along_curve(z, np.full(count, 1.0 / count), *curve)
+        x, log_w, lineage, share = taken(z, order), log_w[order], lineage[order], np.empty(count)
+        first, rest = _halved(leg, linear)
+        last, total = rest.steps == 0, normalise(log_w, share)
+        part, change, points = _anew(first, rest, linear, moved, x, nets, own)
+        ancestor, new, log_ratio = _led(reader, change, points, share, nets[0], own)
         if ancestor.size == 0:
-            return none
-        again = mixed(np.uint64(own_key), np.uint64(AGAIN))
-        z = gone(first, linear, taken(x, ancestor), new, block[ancestor], part, again)
-        if not parted:
-            ends, lineage = beside(y, z), np.concatenate((lineage, lineage[ancestor]))
+            break
+        again = mixed(np.uint64(stored(own, PARTS)), np.uint64(AGAIN))
+        z = gone(first, linear, taken(x, ancestor), new, points[4][ancestor], part, again)
+        if last:
+            ends, lineage = beside(points[1], z), np.concatenate((lineage, lineage[ancestor]))
             log_l, wrong = likelihoods(reader, ends, read(reader, ends))
             return ends, total + over_both(log_l, log_ratio, share), lineage, wrong
         log_w, lineage, leg = total - log_ratio[count:] - math.log(count), lineage[ancestor], rest
+    return none
+
+
+@jit
+def _kept(z, log_w):
+    """Whether some states z (n, N) are numbers; those that are none become one of them, weighing nothing."""
+    fine, every = finite_rows(z)
+    at = 0
+    while at < fine.size and not fine[at]:
+        at += 1
+    for i in range(0 if every or at == fine.size else fine.size):
+        if not fine[i]:
+            z[:, i], log_w[i] = z[:, at], -np.inf
+    return at < fine.size
+
+
+@jit
+def _halved(leg, linear):
+    """The first half of the steps of a leg, and the rest; all of it and none, where it has but one."""
+    end, steps = leg.t + leg.steps * leg.h, leg.steps
+    half = steps if linear else (steps + 1) // 2
+    middle = leg.t + half * leg.h
+    first = over(leg, leg.flow, leg.t, middle, max(half, 1))
+    return first, over(leg, leg.flow, middle, end, steps - half if steps > half else 0)
+
+
+@jit
+def _anew(first, rest, linear, moved, x, nets, key):
+    """The rest of the way from points x (n, N), in one part or two: the first `Part`, and the change of all.
+
+    And the points: where they begin and end, what moves them in the first part and in all, and their blocks.
+    """
+    part, block = _linearised(first, linear, moved, centres(x)), blocks_of(x.shape[1])
+    u = even_normals(nets[1], np.uint64(stored(key, 0)))
+    y = gone(first, linear, x, u, block, part, mixed(np.uint64(stored(key, PARTS)), np.uint64(FIRST)))
+    if rest.steps == 0:
+        return part, (part.flow, part.lower, part.end, np.empty((0, 1, 1))), (x, y, u, u, block)
+    later, v = _linearised(rest, False, moved, part.end), even_normals(nets[2], np.uint64(stored(key, 1)))
+    y = gone(rest, False, y, v, block, later, mixed(np.uint64(stored(key, PARTS + 1)), np.uint64(FIRST)))
+    change = _one(part, later)
+    return part, change, (x, y, u, products(change[3], np.concatenate((u, v)), block), block)
+
+
+@jit
+def _one(part, later):
+    """Two parts of a way as one: Φ, L, ends of the centres, and rows of what moves both."""
+    flow, G = joined(part.flow, part.lower, later.flow, later.lower)
+    lower, rows = lower_and_rows(G)
+    return flow, lower, later.end, rows
 
 
 @jit
@@ -115,15 +134,15 @@ def _linearised(leg, linear, moved, start):
 
 
 @jit
-def _led(reader, way, x, y, whole, u, share, block, net, key):
+def _led(reader, change, points, share, net, key):
     """Ancestors (count,), what leads them over the first part of a way, (n, count), and what that is worth.
 
-    The way is Φ, L, ends of the centres, and the rows of what moves the end among what moves both parts, or
-    none; points of shares (N,) go from x to y (n, N), moved by `whole`, in the first part by u.
+    The points are of shares (N,); without rows, the change has one part.
     """
-    (flow, lower, end, rows), (n, N) = way, x.shape
-    h, w = read(reader, y), np.full(N, 1.0 / N)
-    r, HL, R = as_seen(reader, flow, lower, end, x, y, h, whole, w, block, MISSED)
+    (flow, lower, end, rows), (x, y, u, whole, block) = change, points
+    n, N = x.shape
+    seen = x, y, read(reader, y), whole, np.full(N, 1.0 / N), block
+    r, HL, R = as_seen(reader, flow, lower, end, seen, MISSED)
     first = HL
     if len(rows) > 0:  # what moves points later is noise of the reading
         first = multiplied(HL, rows[:, :, :n].copy())
@@ -138,6 +157,6 @@ def _squared(A):
 
 
 _NET = types.Array(types.float64, 2, "C", readonly=True)
-_ABOUT = types.UniTuple(_NET, 3), types.int64, types.float64, types.uint32[::1], types.int64
+_CURVE = types.Tuple([types.uint32[::1], types.int64])
 _FOUND = types.Tuple([MATRIX, VECTOR, types.int64[::1], types.int64])
-BRIDGE = Entry(bridge, (*WAY, *_ABOUT), _FOUND)
+BRIDGE = Entry(bridge, (WAY, types.UniTuple(_NET, 3), types.int64, types.float64, _CURVE), _FOUND)

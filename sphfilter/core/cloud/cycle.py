@@ -61,7 +61,7 @@ _TABLE = types.uint32[::1], types.int64
 _BEGIN = Entry(begin, (MATRIX, VECTOR, _LINES, types.int64, _KEY, _NET, *_TABLE))
 _CARRY = Entry(carry, (LEG, MATRIX, _INTS, _NET, _KEY))
 _LINEAR = Entry(carry_linear, (types.Tuple([MATRIX, VECTOR, MATRIX]), MATRIX, _INTS, _NET, _KEY))
-_WEIGH = Entry(weigh, (*WAY, types.UniTuple(_NET, 3), _KEY))
+_WEIGH = Entry(weigh, (WAY, types.UniTuple(_NET, 3), _KEY))
 _CARRIED = Entry(carriers, (MATRIX, VECTOR, _INTS, _LINES))
 _SPAN, _STEPS = types.UniTuple(types.float64, 2), (types.int64, types.boolean, types.int64, types.int64)
 _CHOSEN = Entry(chosen, (LEG, ADDRESS, _SPAN, MATRIX, VECTOR, _KEY, *_TABLE, *_STEPS, types.float64))
@@ -166,7 +166,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         end = MORE if points != count else ALL
         if max(error[j], told) > bounds.missed:
             few = _again(leg, stiff_flow, span, step, stiff, least[j])
-            added = _added(parts, few, *about[2:], before, one, nets[1], bounds.target, curve)
+            added = _added((parts, few, *about[2:]), before, one, nets[1], bounds.target, curve)
             end = end if added <= bounds.missed else JUDGE
     return (
         end,
@@ -186,12 +186,12 @@ def _again(leg, stiff_flow, span, step, stiff, least):
 
 
 @jit
-def _added(parts, leg, change, reader, s, one, nets, target, curve):
+def _added(about, s, one, nets, target, curve):
     """The deciding error that a cycle has added, as `filter.by_cloud.error_added` tells it, or NaN."""
     n, many = nets[0].shape
     x, w, line = taken(s.x, systematic(s.w, many, 0.5)), np.full(many, 1.0 / many), s.lineage[:0]
     keys = stored(s.age, 1), stored(s.age + 1, 3)
-    few = _cycled((parts, leg, change, reader), (x, w, line), nets, keys, curve)
+    few = _cycled(about, (x, w, line), nets, keys, curve)
     if not few.usual:
         return np.nan
     first, second, most = compared(one.found[4], one.found[5], few.found[4], few.found[5])
@@ -274,12 +274,12 @@ def _cycled(about, cloud, nets, keys, curve):
     way = reader, leg, linear, key, start, y, w, block, kernel, moved, u, v
     z, log_w, ancestor, wrong = y, np.full(count, -np.inf), np.empty(0, np.int64), 1
     if near_others(y, AWAY)[1]:  # else what reads may be asked where no state is
-        z, log_w, ancestor, wrong = _weigh_at(parts[3])(*way, (nets[0], nets[1], nets[2]), keys[1])
+        z, log_w, ancestor, wrong = _weigh_at(parts[3])(way, (nets[0], nets[1], nets[2]), keys[1])
     found, number = _carried_at(parts[4])(z, log_w, ancestor, older), effective(w)
     unled = is_led(found[8], number, count)
     if unled and wrong == 0 and nets[3].size > 0:
-        by = (nets[3], nets[4], nets[5]), keys[1], least_led(found[8]), *curve
-        z, log_w, ancestor, wrong = _bridge_at(parts[6])(*way, *by)
+        by = (nets[3], nets[4], nets[5]), keys[1], least_led(found[8]), curve
+        z, log_w, ancestor, wrong = _bridge_at(parts[6])(way, *by)
         unled = False
         if log_w.size > 0:
             led = _carried_at(parts[4])(z, log_w, ancestor, older)

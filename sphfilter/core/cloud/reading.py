@@ -79,8 +79,8 @@ class Part(NamedTuple):
 
 _MOVED = types.NamedTuple([MATRIX, MATRIX, CUBE, CUBE, CUBE], Part)
 _PREDICTED = LEG, types.boolean, types.int64, MATRIX, MATRIX, VECTOR, types.int64[::1], _MOVED, _MOVED
-#: Types of a reading and the way of points to it: the first arguments of `weigh`.
-WAY = READER, *_PREDICTED, MATRIX, MATRIX
+#: Type of a reading and the way of points to it, as `weigh` says.
+WAY = types.Tuple([READER, *_PREDICTED, MATRIX, MATRIX])
 
 
 @jit
@@ -124,13 +124,14 @@ def likelihoods(reader, x, h):
 
 
 @jit
-def as_seen(reader, flow, lower, end, x, y, h, u, w, block, misses):
-    """A way of points of weights w (N,) from x to y (n, N), of Φ, L and ends of blocks, as a sensor sees it.
+def as_seen(reader, flow, lower, end, points, misses):
+    """A way of points as a sensor sees it, of Φ, L and ends of blocks.
 
-    Moved by u (n, N), they read h (k, N). A guide takes `misses` times what linearity misses. Returns
-    residuals (k, N) of what each would read without its noise, HL (blocks, k, n) and R (blocks, k, k).
+    Of the points: x and y (n, N), where they begin and end, readings h (k, N) there, what moves them, u
+    (n, N), weights and blocks (N,). A guide takes `misses` times what linearity misses. Returns residuals
+    (k, N) of what each would read without its noise, HL (blocks, k, n) and R (blocks, k, k).
     """
-    k = reader.z.size
+    (x, y, h, u, w, block), k = points, reader.z.size
     r = residuals(reader.z, read(reader, without_noise(y, x, u, lower, flow, block)), reader.angle)
     H, R = _slopes(reader, end), reader.R.copy().reshape((1, k, k))
     HL, R = linear_reading(h, x, u, w, block, flow, lower, H, R, reader.angle, WIDER, misses)
@@ -181,20 +182,15 @@ def _slopes(reader, c):
 
 
 @jit
-def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, nets, key):
+def weigh(way, nets, key):
     """Prior times likelihood, of both passes.
 
     Parameters
     ----------
-    reader : Reader
-    leg, linear, passage : Leg, bool, int
-        The prediction, whether its change is linear, and its key.
-    x, y, w, block : ndarray, shapes (n, N), (n, N), (N,), (N,)
-        Where points began, where they are, their weights and blocks.
-    kernel, moved : Part
-        The noise that begins the way, and the prediction.
-    u, v : ndarray, shape (n, N)
-        What moved the points in each.
+    way : tuple
+        A `Reader`; the prediction as a `Leg`, whether its change is linear, and its key; points where they
+        began and where they are, (n, N), their weights and blocks (N,); the noise that begins the way and
+        the prediction, each a `Part`; and what moved the points in each, (n, N).
     nets : tuple of ndarray, shape (n, N)
         Standard normals of the guide and of both passages.
     key : int
@@ -206,6 +202,7 @@ def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, net
     wrong : int
         How many likelihoods are no number: then the rest is of no worth.
     """
+    reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v = way
     n, N = x.shape
     own = mixed(np.uint64(key), np.uint64(GUIDE))
     h = read(reader, y)
@@ -217,7 +214,7 @@ def weigh(reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v, net
     flow, G = joined(kernel.flow, kernel.lower, moved.flow, moved.lower)
     lower, rows = lower_and_rows(G)
     whole = products(rows, np.concatenate((u, v)), block)
-    r, HL, R = as_seen(reader, flow, lower, moved.end, x, y, h, whole, w, block, WIDER * OWN)
+    r, HL, R = as_seen(reader, flow, lower, moved.end, (x, y, h, whole, w, block), WIDER * OWN)
     ancestor, new, log_ratio = look_ahead(r, whole, w, block, HL, R, nets[0], own)
     if ancestor.size == 0:
         return y, log_w, alone, wrong
