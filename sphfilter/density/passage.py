@@ -18,7 +18,7 @@ from ..core.cloud.maps import LINEARISE_MAP, MAPPED, linearise_map
 from ..core.cloud.move import MOVE, affine, move
 from ..core.cloud.noise import ADDITIVE, LANES, NORMAL, OF_STATE, mixed, stored
 from ..core.cloud.pace import Bias, Steps, chosen
-from ..core.cloud.reading import Reader
+from ..core.cloud.reader import Reader
 from ..core.cloud.steps import BESIDE, BETWEEN, FLOW, NO_LEG, STIFF_FLOW, Leg
 from ..core.cloud.way import AGAIN, FIRST, KERNEL, begin, carry, carry_linear, everywhere
 from ..model.compile import surfacing
@@ -40,7 +40,7 @@ READING = 2  # of the key of an age: a reading of a cloud; and of its shadow the
 #: scenes are 1 to 1.15 times as many, errors .9 to 1.15 times as large.
 _SPREAD = 1.0 / 3.0
 _AT_ONCE = 2**14  # steps of points linearised at once: matrices of four states take 2^14 · 16 · 8 B = 2 MB
-_NO_NETS = (np.broadcast_to(0.0, (0, 0)),) * 3
+_NO_NETS = tuple(np.broadcast_to(0.0, (0, 0)) for _ in range(3))
 _LED_BEFORE: set[tuple[int, int]] = set()  # points and states
 _NO_ROWS = np.empty((1, 0, 0))
 _NO_CHANGES = np.empty((0, 0, 0)), np.empty((0, 0)), np.empty((0, 0, 0))

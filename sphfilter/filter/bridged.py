@@ -16,7 +16,7 @@ from .._types import Floats, Ints
 from ..core.cloud.blocks import blocks_of, centres
 from ..core.cloud.bridge import MISSED, MORE
 from ..core.cloud.guide import look_ahead, over_both
-from ..core.cloud.reading import PARTS, WIDER
+from ..core.cloud.reader import PARTS, WIDER
 from ..core.cloud.weights import effective, normalise
 from ..core.limits import TINY
 from ..density.passage import LED, along, gone, normals, relinearised, stored_key, sub_key

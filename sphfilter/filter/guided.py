@@ -14,7 +14,8 @@ from ..core.cloud.bridge import bridge
 from ..core.cloud.control import is_better, is_led, is_tempered, least_led
 from ..core.cloud.curve import places
 from ..core.cloud.guide import look_ahead, over_both
-from ..core.cloud.reading import GUIDE, OWN, PARTS, WIDER, Part, weigh
+from ..core.cloud.reader import GUIDE, PARTS, WIDER, Part
+from ..core.cloud.reading import OWN, weigh
 from ..core.cloud.steps import NO_LEG
 from ..core.cloud.weights import effective, prior_times
 from ..core.limits import ALIKE

@@ -10,7 +10,7 @@ from ..core._views import as_compiled
 from ..core.cloud.blocks import products
 from ..core.cloud.guide import joined, linear_reading, log_normals, without_noise
 from ..core.cloud.linearise import lower_and_rows
-from ..core.cloud.reading import Reader
+from ..core.cloud.reader import Reader
 from ..core.cloud.weights import finite_rows
 from ..core.limits import DIFFERENCE
 from ..density.points import columns

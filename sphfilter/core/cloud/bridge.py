@@ -16,9 +16,9 @@ from .blocks import blocks_of, centres, multiplied, products
 from .curve import along_curve
 from .guide import joined, look_ahead, over_both
 from .linearise import linearise_at, lower_and_rows
+from .move import over
 from .noise import even_normals, mixed, stored
-from .pace import over
-from .reading import PARTS, WAY, Part, as_seen, gone, likelihoods, read
+from .reader import PARTS, WAY, Part, as_seen, gone, likelihoods, read
 from .way import AGAIN, FIRST, everywhere
 from .weights import beside, effective, finite_rows, normalise, taken
 

@@ -35,9 +35,11 @@ from .control import (
     step_after,
     steps_of_shadow,
 )
+from .move import over
 from .noise import NORMAL, stored
-from .pace import FIRST_TRIED, MOST_LOST, Bias, chosen, over
-from .reading import WAY, Part, Reader, foreseen, weigh
+from .pace import FIRST_TRIED, MOST_LOST, Bias, chosen
+from .reader import WAY, Part, Reader
+from .reading import foreseen, weigh
 from .steps import LEG
 from .way import begin, carry, carry_linear
 from .weights import (

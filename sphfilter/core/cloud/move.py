@@ -8,7 +8,15 @@ from .._jit import MATRIX, jit
 from .._views import stretch
 from .blocks import about, add_products, multiplied, steered
 from .noise import LANES, fill_noise
-from .steps import CUBE, LEG, new_room, walk
+from .steps import CUBE, LEG, Leg, new_room, walk
+
+
+@jit
+def over(leg, flow, t0, t1, steps):
+    """A leg's model over a span of time, along its drift as `flow` follows it."""
+    fixed = leg.drift, leg.jacobian, leg.noise, flow, leg.walk, leg.linearise, leg.move
+    data, kinds = (leg.p, leg.root, leg.domain), (leg.kind, leg.constant, leg.walls)
+    return Leg(*fixed, *data, t0, (t1 - t0) / steps, steps, *kinds)
 
 
 @jit

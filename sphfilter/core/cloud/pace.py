@@ -11,8 +11,9 @@ from ..small_matrices import add_carried, product
 from ..step_control import HELPED, MORE
 from .control import STEPS_ORDER, WRONG, over_allowed
 from .curve import along_curve
+from .move import over
 from .noise import LANES, OF_STATE, fill_noise, mixed
-from .steps import Leg, new_room, walk
+from .steps import new_room, walk
 from .way import PILOT
 from .weights import AWAY, eighths, finite_rows, systematic, taken, turned
 
@@ -45,14 +46,6 @@ class Steps(NamedTuple):
 
     number: int
     stiff: bool = False
-
-
-@jit
-def over(leg, flow, t0, t1, steps):
-    """A leg's model over a span of time, along its drift as `flow` follows it."""
-    fixed = leg.drift, leg.jacobian, leg.noise, flow, leg.walk, leg.linearise, leg.move
-    data, kinds = (leg.p, leg.root, leg.domain), (leg.kind, leg.constant, leg.walls)
-    return Leg(*fixed, *data, t0, (t1 - t0) / steps, steps, *kinds)
 
 
 @jit

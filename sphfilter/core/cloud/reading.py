@@ -4,138 +4,20 @@ That is what `filter.guided` does of any sensor and any way, for one prediction 
 noise that is the same in all states.
 """
 
-from typing import NamedTuple
-
 import numpy as np
-from numba import types
 
-from .._addresses import ADDRESS, NOWHERE_AT, function_at
-from .._jit import MATRIX, VECTOR, jit
-from ..limits import ALIKE, DIFFERENCE
+from .._jit import jit
+from ..limits import ALIKE
 from .blocks import products, steered
-from .guide import (
-    NEAR,
-    joined,
-    linear_reading,
-    log_normals,
-    look_ahead,
-    over_both,
-    residuals,
-    without_noise,
-    wrapped,
-)
+from .guide import NEAR, joined, look_ahead, over_both, wrapped
 from .linearise import lower_and_rows
-from .move import affine, move_at
-from .noise import LANES, even_normals, mixed, stored
-from .steps import CUBE, LEG
+from .noise import even_normals, mixed, stored
+from .reader import GUIDE, PARTS, WIDER, as_seen, gone, likelihoods, read
 from .way import AGAIN
-from .weights import (
-    beside,
-    effective,
-    finite_rows,
-    normalise,
-    prior_times,
-    taken,
-    turned,
-    weighted_moments,
-)
+from .weights import beside, effective, normalise, prior_times, taken, weighted_moments
 
-#: Times the reading's own noise that the guide sees: 1.2 has heavy weights on two wells, 2 is as good.
-WIDER = 1.5
 #: Variance of a point's own rest about the mean of its neighbours', over that of one: OWN = 1 + 1 / (2 NEAR).
 OWN = 1.0 + 0.5 / NEAR
-#: What numbers of a reading's key are for: its guide, and passages k = 0, 1 at PARTS + k.
-GUIDE, PARTS = 11, 20
-
-
-class Reader(NamedTuple):
-    """A reading z (k,) and its sensor: h by address and data, or nowhere and H; angles; R and root."""
-
-    h: int
-    p: np.ndarray
-    H: np.ndarray  # (k, n)
-    z: np.ndarray
-    angle: np.ndarray  # bool (k,)
-    R: np.ndarray  # (k, k)
-    root: np.ndarray
-    t: float
-
-
-#: Numba's type of `Reader`.
-READER = types.NamedTuple(
-    [ADDRESS, VECTOR, MATRIX, VECTOR, types.boolean[::1], MATRIX, MATRIX, types.float64], Reader
-)
-
-
-class Part(NamedTuple):
-    """A passage of a way, linearised in blocks; see `density.points.Passage`."""
-
-    start: np.ndarray
-    end: np.ndarray
-    flow: np.ndarray
-    lower: np.ndarray
-    rows: np.ndarray
-
-
-_MOVED = types.NamedTuple([MATRIX, MATRIX, CUBE, CUBE, CUBE], Part)
-_PREDICTED = LEG, types.boolean, types.int64, MATRIX, MATRIX, VECTOR, types.int64[::1], _MOVED, _MOVED
-#: Type of a reading and the way of points to it, as `weigh` says.
-WAY = types.Tuple([READER, *_PREDICTED, MATRIX, MATRIX])
-
-
-@jit
-def gone(leg, linear, x, u, block, part, key):
-    """Points (n, N) at the end of a passage, from x, with ends moved by u; a key is of other noise."""
-    if linear:
-        return affine(x, u, block, part.start, part.end, part.flow, part.lower)
-    y = x.copy()
-    move_at(leg.move)(leg, y, u, part.rows, block, key, 0, -(-x.shape[1] // LANES))
-    return y
-
-
-@jit
-def read(reader, x):
-    """Readings (k, N) of states (n, N); h is asked where the state is a number, and NaN elsewhere."""
-    (n, N), k = x.shape, reader.z.size
-    if reader.h == NOWHERE_AT:
-        return products(reader.H.copy().reshape(1, k, n), x, np.zeros(N, np.int64))
-    fine, every = finite_rows(x)
-    rows = np.full((N, k), np.nan)
-    if every:
-        function_at(reader.h)(turned(x), reader.t, reader.p, rows)
-    elif fine.any():
-        asked, some = np.flatnonzero(fine), np.empty((np.count_nonzero(fine), k))
-        function_at(reader.h)(turned(taken(x, asked)), reader.t, reader.p, some)
-        for i in range(asked.size):
-            rows[asked[i]] = some[i]
-    return turned(rows)
-
-
-@jit
-def likelihoods(reader, x, h):
-    """Log-likelihoods (N,) of states x (n, N) of readings h; and how many are no number where a state is."""
-    fine, every = finite_rows(x)
-    log_l, wrong = log_normals(reader.z, h, reader.angle, reader.root)
-    for i in range(0 if every else log_l.size):
-        if not fine[i]:
-            wrong -= log_l[i] != log_l[i]
-            log_l[i] = -np.inf
-    return log_l, wrong
-
-
-@jit
-def as_seen(reader, flow, lower, end, points, misses):
-    """A way of points as a sensor sees it, of Φ, L and ends of blocks.
-
-    Of the points: x and y (n, N), where they begin and end, readings h (k, N) there, what moves them, u
-    (n, N), weights and blocks (N,). A guide takes `misses` times what linearity misses. Returns residuals
-    (k, N) of what each would read without its noise, HL (blocks, k, n) and R (blocks, k, k).
-    """
-    (x, y, h, u, w, block), k = points, reader.z.size
-    r = residuals(reader.z, read(reader, without_noise(y, x, u, lower, flow, block)), reader.angle)
-    H, R = _slopes(reader, end), reader.R.copy().reshape((1, k, k))
-    HL, R = linear_reading(h, x, u, w, block, flow, lower, H, R, reader.angle, WIDER, misses)
-    return r, HL, R
 
 
 @jit
@@ -156,29 +38,6 @@ def foreseen(reader, x, w, mean):
         for b in range(k):
             S[a, b] += reader.R[a, b]
     return off, S
-
-
-@jit
-def _slopes(reader, c):
-    """∂h/∂x at states c (blocks, n), (blocks, k, n), or (1, k, n) where it is a matrix."""
-    (nb, n), k = c.shape, reader.z.size
-    if reader.h == NOWHERE_AT:
-        return reader.H.copy().reshape((1, k, n))
-    x, J = np.empty((n, nb * 2 * n)), np.empty((nb, k, n))
-    for e in range(n):
-        for i in range(x.shape[1]):
-            x[e, i] = c[i // (2 * n), e]
-        for b in range(nb):
-            step = DIFFERENCE * max(1.0, abs(c[b, e]))
-            x[e, 2 * (b * n + e)] += step
-            x[e, 2 * (b * n + e) + 1] -= step
-    h = read(reader, x)
-    for b in range(nb):
-        for e in range(n):
-            i, step = 2 * (b * n + e), DIFFERENCE * max(1.0, abs(c[b, e]))
-            for a in range(k):
-                J[b, a, e] = wrapped(h[a, i] - h[a, i + 1], reader.angle[a]) / (2.0 * step)
-    return J
 
 
 @jit
