@@ -77,7 +77,7 @@ def _best(points: Points, sensor: Stacked, key: int) -> Carried:
     if points.path is None:
         return best
     if len(sensor.z) and is_led(best.lineages, number, count):
-        best = _better(best, _piece_by_piece(points, sensor, key, least_led(best.lineages)))
+        best = _better(best, piece_by_piece(points, sensor, key, least_led(best.lineages)))
     if is_tempered(best.lineages, number, count, sensor.hidden):
         best = _better(best, tempered(points, sensor.log_likelihood, key))
     return best
@@ -101,7 +101,7 @@ def _at_once(points: Points, sensor: Stacked, key: int) -> Carried | None:
     return None if wrong else Carried.of(x.T, log_w, ancestor, points.older)
 
 
-def _piece_by_piece(points: Points, sensor: Stacked, key: int, least: float) -> Carried | None:
+def piece_by_piece(points: Points, sensor: Stacked, key: int, least: float) -> Carried | None:
     """The posterior of points led piece by piece of the way, at least so many by the first guide; or none."""
     way = _way(points, sensor)
     if way is None:

@@ -337,5 +337,8 @@ class SPHFilter(DensityFilter[ParticleDensity, Dynamics, Sensor | None]):
         Told the true states of simulated data, `truth` (T, n), the result also holds their ranks in the
         filter's densities (the filter does not see them); `sf.report` judges by them. An `observer` that
         knows the truth, a `Ranker`, may be given instead.
+
+        Where a record goes through a cloud in one call, the density after it is worked out when the filter
+        is first asked for it.
         """
         return run_filter(self, times, measurements, truth, observer, inputs=inputs)

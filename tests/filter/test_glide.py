@@ -1,11 +1,14 @@
 """A record put through a cloud at once: the bits of steps taken one by one, whatever comes between."""
 
+from copy import copy
+
 import numpy as np
 import pytest
 
 import sphfilter as sf
 from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import draw_case
+from sphfilter.filter import glide
 from sphfilter.filter.glide import Glide
 
 
@@ -61,6 +64,23 @@ def test_a_record_has_the_bits_of_its_steps(monkeypatch, scene, target, least):
     result = at_once.run(times, z)
     assert len(through) >= least and (scene != "sharp_range" or any(row["flagged"] for row in through))
     same(found, result, one_by_one, at_once)
+
+
+@pytest.mark.parametrize("scene", ["van_der_pol_sharp", "duffing_square"])
+def test_sharp_readings_go_through_compiled_code(monkeypatch, scene):
+    made, times, z = record(scene, 0.1, 12)
+    made().run(times, z)  # the first that is led piece by piece compiles what leads it
+    own, alone = glide._Run._in_turn, []
+    monkeypatch.setattr(glide._Run, "_in_turn", lambda self, *given: alone.append(1) or own(self, *given))
+    flt = made()
+    result = flt.run(times, z)
+    assert len(alone) < 4 and flt._pending is not None
+    other = copy(flt)
+    flt.measurement = flt.measurement.changed(9.0)  # not the sensor of what was read before
+    assert flt._pending is None and other._pending is not None
+    for one in (flt, other):
+        np.testing.assert_array_equal(one.x, result.x[-1])
+        assert one.t == times[-1] and one.log_evidence == pytest.approx(result.log_evidence.sum())
 
 
 def same(found, result, one_by_one, at_once):

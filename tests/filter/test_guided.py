@@ -10,7 +10,8 @@ from sphfilter.core.cloud.pace import Steps
 from sphfilter.core.cloud.weights import carriers, of_variances
 from sphfilter.density.passage import moved_points, points_of_gaussian
 from sphfilter.density.points import NO_LINES, Carried, columns, moments
-from sphfilter.filter.guided import weighed
+from sphfilter.filter.bridged import bridged
+from sphfilter.filter.guided import piece_by_piece, weighed
 from sphfilter.filter.reading_at_prior import ReadingAtPrior
 from sphfilter.filter.stacked import Stacked
 from sphfilter.model.discretization import linear_transition
@@ -99,6 +100,20 @@ def test_a_linear_model(R):
     exact = kalman(SWING, np.array([1.0, 0.0]), R, *start, [0.8, -0.5], 2.0)
     assert max(off(found, *exact)) < 0.03
     assert found.effective > 500.0
+
+
+@pytest.mark.parametrize("model", [DUFFING, SWING], ids=["steps", "linear"])
+def test_points_led_in_compiled_code_are_those_of_any_way(model):
+    points = moved_points(points_of_gaussian(*START, N, 3), model, 0.0, 1.0, Steps(12), N, 4)
+    for h in (lambda x: (x[0] ** 2,), [[1.0, 0.0]]):
+        sensor = sf.GaussianMeasurement(h, [[1e-3]])
+        about = points, Stacked.of((asked(sensor, [3.0], 1.0),), None), 17, 0.0
+        at_once, one_by_one = piece_by_piece(*about), bridged(*about)
+        assert len(at_once.w) == len(one_by_one.w) > N
+        assert at_once.lineages == pytest.approx(one_by_one.lineages, rel=1e-9)
+        assert at_once.log_evidence == pytest.approx(one_by_one.log_evidence, abs=1e-9)
+        np.testing.assert_allclose(at_once.cov, one_by_one.cov, rtol=1e-7)
+    assert piece_by_piece(*about[:3], 1e9) is bridged(*about[:3], 1e9) is None
 
 
 @pytest.mark.parametrize("key", range(4))
