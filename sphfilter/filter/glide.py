@@ -84,12 +84,12 @@ class Glide:
 
     def _leave(self, run: "_Run", times: Floats, readings: Sequence[Any]) -> None:
         """Leave the filter at what a run has reached; before the last step, if nothing comes after it."""
-        whole = len(run.reached.rows) == len(times)
-        reached, filt = run.before if whole else run.reached, self._filt
-        if reached.rows:
-            filt._state = _after(filt, reached, readings[len(reached.rows) - 1])
+        whole, filt = len(run.reached.rows) == len(times), self._filt
+        left = _left(filt, run.before if whole else run.reached, readings)
         if whole:
-            filt._pending = float(times[-1]), _all_of(filt.measurement, readings[-1])
+            filt._pending = left, float(times[-1]), _all_of(filt.measurement, readings[-1])
+        elif left is not None:
+            filt._state = left.state(filt)
 
 
 class _Reached(NamedTuple):
@@ -103,6 +103,34 @@ class _Reached(NamedTuple):
     def and_on(self, state: CloudState, needs: Memory, rows: list[dict[str, Any]], t: float) -> "_Reached":
         """The state after more readings were put through, up to a time."""
         return _Reached(state, needs, [*self.rows, *rows], t)
+
+
+class _Left(NamedTuple):
+    """How far a filter has put readings through: the row of the last, z; and the log-evidence of all."""
+
+    reached: _Reached
+    z: Any
+    log_evidence: float
+
+    def state(self, filt: Any) -> FilterState[ParticleDensity]:
+        """The state of the filter, which was where the readings began."""
+        (cloud, needs, (row,), t), z, log_evidence = self
+        about: dict[str, Any] = {"t": t, "capacity": 0, "error": row["error"]}
+        density = cloud_of(filt.density, cloud, (row["x"], row["P"]), **about).noted(needs=needs)
+        told = {name: as_found(row[name]) for name in ("x", "P", "x_prior", "P_prior")}
+        said = {"z": z, "y": row["innovation"], "S": row["innovation_cov"], "origin": None}
+        said |= {"log_likelihood": row["log_evidence"], "log_evidence": log_evidence}
+        said |= {"n_particles": max_particles_of(density, "auto")}
+        return filt._now.noted(density=density, **told, x_post=told["x"], P_post=told["P"], **said)
+
+
+def _left(filt: Any, reached: _Reached, readings: Sequence[Any]) -> _Left | None:
+    """Where a filter is left that has put the first readings through, if any."""
+    if not reached.rows:
+        return None
+    log_evidence = sum((row["log_evidence"] for row in reached.rows), start=filt.log_evidence)
+    z = _all_of(filt.measurement, readings[len(reached.rows) - 1])
+    return _Left(reached._replace(rows=reached.rows[-1:]), z, log_evidence)
 
 
 class _Run:
@@ -212,25 +240,6 @@ class _Run:
         row = _row(*moved.moments, *done.moments, *said, y, S, flagged)
         self.before, self.reached = self.reached, self.reached.and_on(done.state, needs, [row], span[1])
         return True
-
-
-def _after(filt: Any, reached: _Reached, z: Any) -> FilterState[ParticleDensity]:
-    """The state of a filter that has put readings through, the last of them z."""
-    state, last = filt._state, reached.rows[-1]
-    moments = last["x"], last["P"]
-    cloud = cloud_of(filt.density, reached.state, moments, t=reached.t, capacity=0, error=last["error"])
-    density = cloud.noted(needs=reached.needs)
-    told = {name: as_found(last[name]) for name in ("x", "P", "x_prior", "P_prior")}
-    log_evidence = sum((row["log_evidence"] for row in reached.rows), start=state.log_evidence)
-    said = {
-        "z": _all_of(filt.measurement, z),
-        "y": last["innovation"],
-        "S": last["innovation_cov"],
-        "origin": None,
-    }
-    said |= {"log_likelihood": last["log_evidence"], "log_evidence": log_evidence}
-    said |= {"n_particles": max_particles_of(density, "auto")}
-    return state.noted(density=density, **told, x_post=told["x"], P_post=told["P"], **said)
 
 
 def _usual(filt: Any) -> bool:

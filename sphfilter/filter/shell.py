@@ -57,8 +57,9 @@ class DensityFilter(StepHistory, Generic[Carried, Model, Given]):
     #: What makes a filter again: of a file, model and measurement.
     _restored: ClassVar[Callable[..., Restored]]
     _now: FilterState[Carried]
-    #: Time and reading of the step after that, of which a record has told: it is taken when it is needed.
-    _pending: tuple[float, Any] | None = None
+    #: What a record has told of, and left to be worked out: where it was before its last step, if that is not
+    #: where it began, and time and reading of that step.
+    _pending: tuple[Any, float, Any] | None = None
 
     x: Final[Floats] = _shown("x", "Mean, shape (n,).")
     P: Final[Floats] = _shown("P", "Covariance, shape (n, n).")
@@ -95,14 +96,16 @@ class DensityFilter(StepHistory, Generic[Carried, Model, Given]):
         self._now, self._pending = state, None
 
     def _catch_up(self) -> None:
-        """Take the step that is pending."""
+        """Work out what is pending."""
         filt: Any = self
-        before, (t, z), self._pending = self._now, filt._pending, None
+        before, pending, self._pending = self._now, filt._pending, None
+        left, t, z = pending
         try:
+            self._now = before if left is None else left.state(filt)
             filt.predict(t=t)
             filt.update(z)
         except BaseException:  # a Ctrl-C
-            self._now, self._pending = before, (t, z)
+            self._now, self._pending = before, pending
             raise
 
     def __setattr__(self, name: str, value: Any) -> None:
