@@ -32,8 +32,8 @@ from .to_target import Time, carried_to_target
 Found = TypeVar("Found")
 
 #: Points of a cloud that take as long as one family, by states: fewer take .1 to .9 times as long as families
-#: first. In four states 256 take .3 to .6 times as long; cart and sharp range are off by as much, tracking and
-#: bearings by 2 to 4.5 times: families first. (Of `experiments benchmark`.)
+#: first. In four states 256 take .3 to .6 times as long; cart and sharp range are off by as much, tracking
+#: and bearings by 2 to 4.5 times that: families first. (Of `experiments benchmark`.)
 _AS_FAMILIES = {1: 2**10, 2: 2**10, 3: 2**10, 4: 0}
 #: As long as a lattice that makes the same error, by states: of one it pays sooner, and knows its tails; of
 #: three and more never. And as families of five and six, of thousands of nodes. (Of the same command.)
