@@ -401,7 +401,7 @@ def for_moments(x, w, mean, cov, count, shift):
         square = squares(invert_lower(L).reshape(1, n, n), about(mean.reshape(1, n), x, one), one)
         for i in range(N):
             more = w[i] * square[i] / n
-            by[i] += more / (1.0 + count * more)
+            by[i] += more / (1.0 + count * more) if more < np.inf else 0.0  # of one carrier there is no d
     chosen = systematic(by, count, shift)
     own = w[chosen] / by[chosen]
     return chosen, own / own.sum()
