@@ -155,7 +155,7 @@ class DensityFilter(StepHistory, Generic[Carried, Model, Given]):
 
         Predictions and updates are rehearsed on a twin: the filter stays where it is. Under a `time_budget`
         the filter learns from the rehearsal how long its particles take; without a call of `prepare` it
-        rehearses in its first predict.
+        rehearses in its first predict. What leads points to a sharp reading, `sphfilter.compile` compiles.
 
         Parameters
         ----------
