@@ -7,7 +7,7 @@ from scipy.stats import norm
 import sphfilter as sf
 from sphfilter.core.cloud.guide import look_ahead
 from sphfilter.core.cloud.pace import Steps
-from sphfilter.core.cloud.weights import carriers, of_variances
+from sphfilter.core.cloud.weights import carriers, for_moments, of_variances
 from sphfilter.density.passage import moved_points, points_of_gaussian
 from sphfilter.density.points import NO_LINES, Carried, columns, moments
 from sphfilter.filter.bridged import bridged
@@ -312,3 +312,8 @@ def test_weights_that_are_no_numbers_are_left_out():
     found = Carried.of(x, log_w, np.arange(8))
     assert len(found.x) == 6
     assert found.log_evidence == pytest.approx(np.log(6.0))
+
+
+def test_of_one_carrier_points_are_drawn():
+    x, w = np.array([[0.0, 1e6], [0.0, 1.0]]), np.array([1.0, 1e-214])
+    assert for_moments(x, w, np.zeros(2), np.diag([1e-300, 1e-300]), 64, 0.3)[1].sum() == pytest.approx(1.0)

@@ -49,7 +49,7 @@ BOUNDS = {
     "lines of sphfilter": 40_920,
     "lines of reference_filters": 5_050,
     "lines of experiments": 12_300,
-    "lines of tests": 29_320,  # and 1,545 that hold them to grids, closed forms, filterpy, and a wheel
+    "lines of tests": 29_330,  # and 1,545 that hold them to grids, closed forms, filterpy, and a wheel
     "  median length": 6,
     "  longer than 40 lines": 16,
     "  with more than 8 arguments": 26,
