@@ -1,12 +1,7 @@
 """A record put through a cloud without a density, and what a step says, for every reading.
 
 What a filter finds so has the bits that it finds step by step: where a step would be anything but usual, the
-<<<<<<< HEAD
 filter takes that one itself. It takes the last step of a record, too, when it is asked what came of that.
-=======
-filter takes that one itself. And the last step of a record, whose row is known, when it is asked what came of
-it.
->>>>>>> prune
 """
 
 import math
