@@ -13,10 +13,10 @@ from ..core.cloud.blocks import blocks_of, centres
 from ..core.cloud.curve import along_curve, places
 from ..core.cloud.cycle import PARTS, Bounds, Standing
 from ..core.cloud.cycle import put_through as through
-from ..core.cloud.linearise import LINEARISE, linearise, lower_and_rows
-from ..core.cloud.maps import LINEARISE_MAP, MAPPED, linearise_map
-from ..core.cloud.move import MOVE, affine, move
-from ..core.cloud.noise import ADDITIVE, LANES, NORMAL, OF_STATE, mixed, stored
+from ..core.cloud.linearise import LINEARISE, linearised
+from ..core.cloud.maps import LINEARISE_MAP, MAPPED
+from ..core.cloud.move import MOVE, affine, moved_over
+from ..core.cloud.noise import ADDITIVE, NORMAL, OF_STATE, mixed, stored
 from ..core.cloud.pace import Bias, Steps, chosen
 from ..core.cloud.reader import Reader
 from ..core.cloud.steps import BESIDE, BETWEEN, FLOW, NO_LEG, STIFF_FLOW, Leg
@@ -218,10 +218,9 @@ def gone(passage: Passage, x: Floats, u: Floats, block: Ints, again: bool) -> Fl
     if passage.leg is None:
         about = block, passage.start, passage.end, passage.flow, passage.lower
         return np.asarray(affine(columns(x), columns(u), *about).T)
-    ends, key = columns(x).copy(), sub_key(passage.key, AGAIN if again else FIRST)
+    key = sub_key(passage.key, AGAIN if again else FIRST)
     with surfacing():
-        move(passage.leg, ends, columns(u), passage.rows, block, key, 0, -(-len(x) // LANES))
-    return ends.T
+        return np.asarray(moved_over(passage.leg, columns(x), columns(u), passage.rows, block, key).T)
 
 
 def leg_of(model: Dynamics, t0: float, t1: float, steps: int, stiff: bool = False) -> Leg:
@@ -296,10 +295,9 @@ def relinearised(passage: Passage, start: Floats, key: int) -> Passage:
 
 def _linearised(leg: Leg, start: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Ends of centres (blocks, n), Φ, L and V of a leg."""
-    end = start.copy()
     with surfacing():
-        flow, B = (linearise_map if leg.kind == NORMAL else linearise)(leg, end)
-    return end, flow, *lower_and_rows(B)
+        end, flow, lower, rows = linearised(leg, start)
+    return end, flow, lower, rows
 
 
 class Transitions(NamedTuple):
@@ -332,10 +330,9 @@ class Transitions(NamedTuple):
         if self.rows is None:
             return self.end[number] + np.einsum("iab,ib->ia", self.lower[number], u)
         leg, block = leg_of(self.model, *self.span, *self.steps), np.arange(len(number))
-        x, own = columns(self.x[number]).copy(), sub_key(key, FIRST)
+        about = columns(self.x[number]), columns(u), self.rows[number], block, sub_key(key, FIRST)
         with surfacing():
-            move(leg, x, columns(u), self.rows[number], block, own, 0, -(-len(block) // LANES))
-        return x.T
+            return np.asarray(moved_over(leg, *about).T)
 
 
 def _changed(

@@ -13,8 +13,8 @@ from numba.core.errors import NumbaError
 
 from .._types import Floats
 from ..config import CloudScheme
+from ..core.cloud import cycle
 from ..core.cloud.control import is_flagged
-from ..core.cloud.cycle import JUDGE, UNUSUAL, Bounds
 from ..density.as_cloud import cloud_of
 from ..density.memory import MISSED, Memory, doubtful_from, flagged_from
 from ..density.particle_density import ParticleDensity
@@ -183,22 +183,23 @@ class _Run:
         bounds = target, MISSED * target, *told, CloudScheme().max_steps
         reader = self._stacked(Z[0], times[1]).reader
         assert reader is not None
-        about = least, (count, shadow_size(count)), needs.calm, Bounds(*bounds)
+        about = least, (count, shadow_size(count)), needs.calm, cycle.Bounds(*bounds)
         found, refused = put_through(state, model, times, (reader, Z), *about), False
-        if found.end == JUDGE and not self._added(found, times, Z) <= MISSED * target:
+        judged = found.end == cycle.JUDGE and not self._added(found, times, Z) <= MISSED * target
+        if judged or found.end == cycle.MISSED:
             found, refused = found.before, True  # more points help where this cycle has added its error
         if found.done:
             rows, rest = _rows(self._sensor, Z[: found.done], times[1:], found.rows), found.before
             alone = rest is None or rest.done == 0
             self.before = self.reached if alone else self._put(rest, rows, times)
             self.reached = self._put(found, rows, times)
-        return found.end == UNUSUAL, refused
+        return found.end == cycle.UNUSUAL, refused
 
     def _put(self, found: Through, rows: list[dict[str, Any]], times: Floats) -> _Reached:
         """How far the record is, where compiled code has put it through so many readings."""
-        needs = self.reached.needs._replace(points=found.points, calm=found.calm, legs=0)
-        needs = needs._replace(age=found.state.age)
-        return self.reached.and_on(found.state, needs, rows[: found.done], float(times[found.done]))
+        told: dict[str, Any] = {"points": found.points, "calm": found.calm, "legs": 0, "age": found.state.age}
+        about = self.reached.needs._replace(**told), rows[: found.done], float(times[found.done])
+        return self.reached.and_on(found.state, *about)
 
     def _added(self, found: Through, times: Floats, Z: Floats) -> float:
         """Error of the mean that the last reading put through has added."""

@@ -12,13 +12,13 @@ from numba import types
 from .._addresses import Entry
 from .._jit import MATRIX, VECTOR, jit
 from ..limits import TINY
-from .blocks import blocks_of, centres, multiplied, products
+from .blocks import blocks_of, centres, multiplied
 from .curve import along_curve
-from .guide import joined, look_ahead, over_both
-from .linearise import linearise_at, lower_and_rows
+from .guide import look_ahead, over_both
+from .linearise import linearised
 from .move import over
 from .noise import even_normals, mixed, stored
-from .reader import PARTS, WAY, Part, as_seen, gone, likelihoods, read
+from .reader import NET, PARTS, WAY, Part, as_one, as_seen, gone, likelihoods, read
 from .way import AGAIN, FIRST, everywhere
 from .weights import beside, effective, finite_rows, normalise, taken
 
@@ -43,8 +43,8 @@ def bridge(way, nets, key, least, curve):
     (n, N), count, key, share = x.shape, nets[0].shape[1], np.uint64(key), np.empty(len(w))
     none = np.empty((n, 0)), np.empty(0), np.empty(0, np.int64), 0
     total = normalise(np.log(np.maximum(w, TINY)), share)
-    change = _one(kernel, moved)
-    points = x, y, u, products(change[3], np.concatenate((u, v)), block), block
+    flow, lower, rows, whole = as_one(kernel, moved, u, v, block)
+    change, points = (flow, lower, moved.end, rows), (x, y, u, whole, block)
     ancestor, new, log_ratio = _led(reader, change, points, share, nets[0], mixed(key, np.uint64(0)))
     if ancestor.size == 0 or effective(1.0 * np.bincount(ancestor)) < least:
         return none
@@ -107,16 +107,8 @@ def _anew(first, rest, linear, moved, x, nets, key):
         return part, (part.flow, part.lower, part.end, np.empty((0, 1, 1))), (x, y, u, u, block)
     later, v = _linearised(rest, False, moved, part.end), even_normals(nets[2], np.uint64(stored(key, 1)))
     y = gone(rest, False, y, v, block, later, mixed(np.uint64(stored(key, PARTS + 1)), np.uint64(FIRST)))
-    change = _one(part, later)
-    return part, change, (x, y, u, products(change[3], np.concatenate((u, v)), block), block)
-
-
-@jit
-def _one(part, later):
-    """Two parts of a way as one: Φ, L, ends of the centres, and rows of what moves both."""
-    flow, G = joined(part.flow, part.lower, later.flow, later.lower)
-    lower, rows = lower_and_rows(G)
-    return flow, lower, later.end, rows
+    flow, lower, rows, whole = as_one(part, later, u, v, block)
+    return part, (flow, lower, later.end, rows), (x, y, u, whole, block)
 
 
 @jit
@@ -127,9 +119,7 @@ def _linearised(leg, linear, moved, start):
         offset = moved.end[0] - multiplied(Phi, moved.start[0].copy().reshape(1, len(L), 1))[0, :, 0]
         end, flow, lower = everywhere((Phi[0], offset, L), start)
         return Part(start, end, flow, lower, np.empty((1, 0, 0)))
-    end = start.copy()
-    flow, B = linearise_at(leg.linearise)(leg, end)
-    lower, rows = lower_and_rows(B)
+    end, flow, lower, rows = linearised(leg, start)
     return Part(start, end, flow, lower, rows)
 
 
@@ -156,7 +146,6 @@ def _squared(A):
     return multiplied(A, np.ascontiguousarray(A.transpose(0, 2, 1)))
 
 
-_NET = types.Array(types.float64, 2, "C", readonly=True)
 _CURVE = types.Tuple([types.uint32[::1], types.int64])
 _FOUND = types.Tuple([MATRIX, VECTOR, types.int64[::1], types.int64])
-BRIDGE = Entry(bridge, (WAY, types.UniTuple(_NET, 3), types.int64, types.float64, _CURVE), _FOUND)
+BRIDGE = Entry(bridge, (WAY, types.UniTuple(NET, 3), types.int64, types.float64, _CURVE), _FOUND)

@@ -38,7 +38,7 @@ from .control import (
 from .move import over
 from .noise import NORMAL, stored
 from .pace import FIRST_TRIED, MOST_LOST, Bias, chosen
-from .reader import WAY, Part, Reader
+from .reader import NET, WAY, Part, Reader
 from .reading import foreseen, weigh
 from .steps import LEG
 from .way import begin, carry, carry_linear
@@ -55,15 +55,14 @@ from .weights import (
 )
 
 #: How a record ends: all is put through; the next cloud has another number of points; what the last reading
-#: left is to be judged; the next one is unusual, and is not put through.
-ALL, MORE, JUDGE, UNUSUAL = range(4)
+#: left is to be judged, or has missed; the next one is unusual, and is not put through.
+ALL, MORE, JUDGE, MISSED, UNUSUAL = range(5)
 _INTS, _LINES, _KEY = types.int64[::1], types.int64[:, ::1], types.int64
-_NET = types.Array(types.float64, 2, "C", readonly=True)
 _TABLE = types.uint32[::1], types.int64
-_BEGIN = Entry(begin, (MATRIX, VECTOR, _LINES, types.int64, _KEY, _NET, *_TABLE))
-_CARRY = Entry(carry, (LEG, MATRIX, _INTS, _NET, _KEY))
-_LINEAR = Entry(carry_linear, (types.Tuple([MATRIX, VECTOR, MATRIX]), MATRIX, _INTS, _NET, _KEY))
-_WEIGH = Entry(weigh, (WAY, types.UniTuple(_NET, 3), _KEY))
+_BEGIN = Entry(begin, (MATRIX, VECTOR, _LINES, types.int64, _KEY, NET, *_TABLE))
+_CARRY = Entry(carry, (LEG, MATRIX, _INTS, NET, _KEY))
+_LINEAR = Entry(carry_linear, (types.Tuple([MATRIX, VECTOR, MATRIX]), MATRIX, _INTS, NET, _KEY))
+_WEIGH = Entry(weigh, (WAY, types.UniTuple(NET, 3), _KEY))
 _CARRIED = Entry(carriers, (MATRIX, VECTOR, _INTS, _LINES))
 _SPAN, _STEPS = types.UniTuple(types.float64, 2), (types.int64, types.boolean, types.int64, types.int64)
 _CHOSEN = Entry(chosen, (LEG, ADDRESS, _SPAN, MATRIX, VECTOR, _KEY, *_TABLE, *_STEPS, types.float64))
@@ -169,7 +168,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         if max(error[j], told) > bounds.missed:
             few = _again(leg, stiff_flow, span, step, stiff, least[j])
             added = _added((parts, few, *about[2:]), before, one, nets[1], bounds.target, curve)
-            end = end if added <= bounds.missed else JUDGE
+            end = end if added <= bounds.missed else MISSED if added > bounds.missed else JUDGE
     return (
         end,
         done,

@@ -141,6 +141,15 @@ linearise_at = LINEARISE.at
 
 
 @jit
+def linearised(leg, start):
+    """Ends of centres (blocks, n) over a leg, without noise; Φ, L and V."""
+    end = start.copy()
+    flow, B = linearise_at(leg.linearise)(leg, end)
+    lower, rows = lower_and_rows(B)
+    return end, flow, lower, rows
+
+
+@jit
 def backwards(M, A):
     """Φ (blocks, n, n) and B (blocks, n, steps m) from those of all steps, from the last one back."""
     steps, nb, n, m = A.shape

@@ -74,3 +74,11 @@ def move(leg, x, u, V, block, key, first, last):
 _MOVES = LEG, MATRIX, MATRIX, CUBE, types.int64[::1], types.uint64, types.int64, types.int64
 MOVE = Entry(move, _MOVES, types.void)
 move_at = MOVE.at
+
+
+@jit
+def moved_over(leg, x, u, V, block, key):
+    """Points moved over a leg, all chunks of x (n, N), as `move` says."""
+    y = x.copy()
+    move_at(leg.move)(leg, y, u, V, block, key, 0, -(-x.shape[1] // LANES))
+    return y

@@ -9,9 +9,9 @@ from .._addresses import ADDRESS, NOWHERE_AT, function_at
 from .._jit import MATRIX, VECTOR, jit
 from ..limits import DIFFERENCE
 from .blocks import products
-from .guide import linear_reading, log_normals, residuals, without_noise, wrapped
-from .move import affine, move_at
-from .noise import LANES
+from .guide import joined, linear_reading, log_normals, residuals, without_noise, wrapped
+from .linearise import lower_and_rows
+from .move import affine, moved_over
 from .steps import CUBE, LEG
 from .weights import finite_rows, taken, turned
 
@@ -52,6 +52,7 @@ class Part(NamedTuple):
 
 _MOVED = types.NamedTuple([MATRIX, MATRIX, CUBE, CUBE, CUBE], Part)
 _PREDICTED = LEG, types.boolean, types.int64, MATRIX, MATRIX, VECTOR, types.int64[::1], _MOVED, _MOVED
+NET = types.Array(types.float64, 2, "C", readonly=True)  # standard normals (n, N)
 #: Type of a reading and the way of points to it, as `weigh` says.
 WAY = types.Tuple([READER, *_PREDICTED, MATRIX, MATRIX])
 
@@ -61,9 +62,7 @@ def gone(leg, linear, x, u, block, part, key):
     """Points (n, N) at the end of a passage, from x, with ends moved by u; a key is of other noise."""
     if linear:
         return affine(x, u, block, part.start, part.end, part.flow, part.lower)
-    y = x.copy()
-    move_at(leg.move)(leg, y, u, part.rows, block, key, 0, -(-x.shape[1] // LANES))
-    return y
+    return moved_over(leg, x, u, part.rows, block, key)
 
 
 @jit
@@ -117,6 +116,14 @@ def _slopes(reader, c):
             for a in range(k):
                 J[b, a, e] = wrapped(h[a, i] - h[a, i + 1], reader.angle[a]) / (2.0 * step)
     return J
+
+
+@jit
+def as_one(part, later, u, v, block):
+    """Two parts of a way as one: Φ, L, rows of what moves the end; and that, of points moved by u and v."""
+    flow, G = joined(part.flow, part.lower, later.flow, later.lower)
+    lower, rows = lower_and_rows(G)
+    return flow, lower, rows, products(rows, np.concatenate((u, v)), block)
 
 
 @jit

@@ -8,11 +8,10 @@ import numpy as np
 
 from .._jit import jit
 from ..limits import ALIKE
-from .blocks import products, steered
-from .guide import NEAR, joined, look_ahead, over_both, wrapped
-from .linearise import lower_and_rows
+from .blocks import steered
+from .guide import NEAR, look_ahead, over_both, wrapped
 from .noise import even_normals, mixed, stored
-from .reader import GUIDE, PARTS, WIDER, as_seen, gone, likelihoods, read
+from .reader import GUIDE, PARTS, WIDER, as_one, as_seen, gone, likelihoods, read
 from .way import AGAIN
 from .weights import beside, effective, normalise, prior_times, taken, weighted_moments
 
@@ -70,9 +69,7 @@ def weigh(way, nets, key):
     first = np.zeros(N)
     if wrong or not abs(normalise(log_w, first)) < np.inf or effective(first) >= ALIKE * effective(w):
         return y, log_w, alone, wrong
-    flow, G = joined(kernel.flow, kernel.lower, moved.flow, moved.lower)
-    lower, rows = lower_and_rows(G)
-    whole = products(rows, np.concatenate((u, v)), block)
+    flow, lower, rows, whole = as_one(kernel, moved, u, v, block)
     r, HL, R = as_seen(reader, flow, lower, moved.end, (x, y, h, whole, w, block), WIDER * OWN)
     ancestor, new, log_ratio = look_ahead(r, whole, w, block, HL, R, nets[0], own)
     if ancestor.size == 0:

@@ -5,9 +5,9 @@ import numpy as np
 from .._jit import jit
 from .blocks import about, block_roots, blocks_of, centres, multiplied
 from .curve import ordered
-from .linearise import linearise_at, lower_and_rows, widths
-from .move import affine, move_at
-from .noise import LANES, even_normals, mixed, stored, uniform
+from .linearise import linearised, widths
+from .move import affine, moved_over
+from .noise import even_normals, mixed, stored, uniform
 from .weights import effective, for_moments, taken, weighted_moments
 
 # what numbers of a key are for
@@ -69,13 +69,9 @@ def carry(leg, x, block, net, key):
     flow, lower, rows : ndarray, shapes (blocks, n, n), (blocks, n, n), (blocks, n, d)
         Φ, L and V: what linearises the blocks.
     """
-    start = centres(x)
-    end = start.copy()
-    flow, B = linearise_at(leg.linearise)(leg, end)
-    lower, rows = lower_and_rows(B)
-    u, y = even_normals(net, np.uint64(key)), x.copy()
-    own, last = mixed(np.uint64(key), np.uint64(FIRST)), -(-x.shape[1] // LANES)
-    move_at(leg.move)(leg, y, u, rows, block, own, 0, last)
+    start, u = centres(x), even_normals(net, np.uint64(key))
+    end, flow, lower, rows = linearised(leg, start)
+    y = moved_over(leg, x, u, rows, block, mixed(np.uint64(key), np.uint64(FIRST)))
     return y, u, start, end, flow, lower, rows
 
 
