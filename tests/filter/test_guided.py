@@ -5,9 +5,10 @@ import pytest
 from scipy.stats import norm
 
 import sphfilter as sf
+from sphfilter.core.cloud.control import least_error
 from sphfilter.core.cloud.guide import look_ahead
 from sphfilter.core.cloud.pace import Steps
-from sphfilter.core.cloud.weights import carriers, for_moments, of_variances
+from sphfilter.core.cloud.weights import LINES, carriers, for_moments, of_variances
 from sphfilter.density.passage import moved_points, points_of_gaussian
 from sphfilter.density.points import NO_LINES, Carried, columns, moments
 from sphfilter.filter.bridged import bridged
@@ -317,3 +318,18 @@ def test_weights_that_are_no_numbers_are_left_out():
 def test_of_one_carrier_points_are_drawn():
     x, w = np.array([[1e50, 0.0], [0.0, 1.0]]), np.array([1.0, 1e-214])
     assert for_moments(x, w, np.zeros(2), np.diag([1e-214, 1e-214]), 64, 0.3)[1].sum() == pytest.approx(1.0)
+
+
+def test_lineages_go_back_as_far_as_they_tell_apart():
+    """One row stays while none of its lineages has most of the weight; then the row before it does."""
+    x, log_w = np.random.default_rng(0).standard_normal((2, 64)), np.log(np.full(64, 1.0 / 64.0))
+    each, first, one = np.arange(64), np.repeat(np.arange(16), 4), np.zeros(64, np.int64)
+    older = np.array([each] * (LINES - 1) + [first])
+    assert np.array_equal(carriers(x, log_w, each, older)[2], older)
+    assert np.array_equal(carriers(x, log_w, each, np.array([each] * (LINES - 1) + [one]))[2], [each] * LINES)
+
+
+def test_errors_of_few_points_have_no_jump():
+    numbers = np.arange(16.0, 2048.0)
+    least = np.array([least_error(number, 1e9) for number in numbers])
+    assert np.all(np.diff(least) < 0.0) and np.all(np.diff(np.log(least)) > -1.1 / numbers[:-1])

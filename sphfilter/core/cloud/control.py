@@ -97,11 +97,12 @@ def least_error(number, size):
     """Error at least of an average of so many independent points among those of a cloud.
 
     Where a small part of the points carries a posterior, it is no more even than if it were drawn at random;
-    and a shadow sees the same few.
+    and a shadow sees the same few. Of twice as many each way from there on it is as even as others are.
     """
     if number < LOOK:
         return 1.0 / math.sqrt(number)
-    return _OF_RANDOM * max(1.0 - number / size, 0.0) / math.sqrt(number)
+    uneven = max(math.sqrt(LOOK / number), _OF_RANDOM)
+    return uneven * max(1.0 - number / size, 0.0) / math.sqrt(number)
 
 
 @register_jitable
