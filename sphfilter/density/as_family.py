@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from .._types import Floats
+from ..lattice.resolved import HIGHER
 from .defect import Defect, defect_of
 from .family import (
     OF_MISFIT,
@@ -16,6 +17,7 @@ from .family import (
     node_moments,
     particles_of,
 )
+from .left_out import LeftOut
 from .max_entropy import max_entropy
 from .particle_density import ParticleDensity
 from .pieces import Pieces, particles_of_pieces
@@ -72,7 +74,17 @@ def as_polynomials(density: ParticleDensity, degree: int, most: float) -> Partic
         return None
     error = math.hypot(density.error, OF_MISFIT * found[1])
     new = family_density(density, found[0], error=error, defect=defect_in(density, *found))
-    return new if _agree(density, new, most) else None
+    return _with_left_out(density, new) if _agree(density, new, most) else None
+
+
+def _with_left_out(density: ParticleDensity, family: ParticleDensity) -> ParticleDensity:
+    """The family that stands for a density, with what was left out of that and what nodes know beyond it."""
+    left = density.left_out
+    if density.field is not None:
+        apart = density.logpdf(density.x) - family.logpdf(density.x)
+        beyond = LeftOut(density.x, density.mass).read(np.zeros(len(apart)), apart > HIGHER)
+        left = beyond.with_others(left, moments_on_line(family)) if beyond is not None else left
+    return family.noted(left_out=left)
 
 
 def _fitted(density: ParticleDensity, degree: int) -> tuple[Family, float] | None:

@@ -7,15 +7,16 @@ from typing import Any
 import numpy as np
 
 from ..config import FilterConfig
-from ..core.limits import ALIKE, LARGEST_EXPONENT
+from ..core.limits import ALIKE
 from ..density.defect import ROUGH
+from ..density.left_out import LeftOut
 from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code, may_be_off
-from ..lattice.check import Remote, beside, nodes_and_beside, remote
+from ..lattice.check import Remote, beside, nodes_and_beside
 from ..lattice.field import extrapolated_mass, inside_lattice
-from ..lattice.resolved import TOLERATED, Resolved
+from ..lattice.resolved import HIGHER, TOLERATED, Resolved
 from ..lattice.walls import moved_in
 from .by_cloud import by_cloud
 from .inherited import evidence_error_of, of_shape, shift_left_by_update
@@ -63,9 +64,11 @@ def by_lattice(
     if unknown:
         new = density
     else:
-        far = far if gaussian else _remote(density, new, asked, log_evidence)
+        far, unheld = (far, None) if gaussian else _remote(density, new, asked, log_evidence)
         before = left * density.lost, left**ROUGH * density.rough
-        new = replace(new, error=math.hypot(error, far.mean), lost=before[0], rough=before[1])
+        new = replace(
+            new, error=math.hypot(error, far.mean), lost=before[0], rough=before[1], left_out=unheld
+        )
     cut = beside(new.field, new.mean(), new.cov(), new.walls)
     left_out = cut.mass if found is None else max(cut.mass, found.left_out)
     inherited = math.nan if unknown else evidence_error_of(density, new)  # unknown, it is a guess
@@ -86,17 +89,22 @@ def by_lattice(
 
 def _remote(
     prior: ParticleDensity, posterior: ParticleDensity, asked: ReadingAtPrior, log_evidence: float
-) -> Remote:
-    """Moments that the prior's nodes beyond a posterior's lattice would add to it, and cells around those."""
+) -> tuple[Remote, LeftOut | None]:
+    """Moments that the prior's nodes beyond a posterior's lattice, and cells around those, would add to it.
+
+    And those of them of which its polynomials know nothing either: what follows it knows nothing of them.
+    """
     if posterior.field is None:
-        return Remote()
+        return Remote(), None
     X, mass = nodes_and_beside(prior.x, prior.mass, prior.field, prior.walls)
     beyond = ~inside_lattice(posterior.field, moved_in(posterior.walls, posterior.field.A, X))
     if not beyond.any():
-        return Remote()
-    X = X[beyond]
-    mass = mass[beyond] * np.exp(np.minimum(asked.log_weight(X) - log_evidence, LARGEST_EXPONENT))
-    return remote(posterior.mean(), posterior.cov(), X, mass)
+        return Remote(), None
+    X, log_l = X[beyond], asked.log_weight(X[beyond]) - log_evidence
+    all_of_it = LeftOut(X, mass[beyond])
+    there, unknown = all_of_it.read(log_l), prior.logpdf(X) + log_l - posterior.logpdf(X) > HIGHER
+    far = there.beside((posterior.mean(), posterior.cov())) if there else Remote()
+    return far, all_of_it.read(log_l, unknown)
 
 
 def _told(found: Resolved, error: float, most_left_out: float, wider: float) -> dict[str, Any]:
@@ -110,12 +118,17 @@ def _told(found: Resolved, error: float, most_left_out: float, wider: float) -> 
     if found.left_out > most_left_out:
         said.append(f"the lattice leaves out a probability of {found.left_out:.2g} that was found elsewhere")
     if wider > 1.0 - ALIKE:
-        said.append(f"what little is left out far away would widen the density: its variance by {wider:.0%}")
+        said.append(would_widen(wider))
     if error > DOUBTFUL:
         said.append(may_be_off(error))
     if wrong > TOLERATED or found.left_out > most_left_out or wider > 1.0 - ALIKE or error > DOUBTFUL:
         code |= Code.UNRESOLVED
     return {"code": code, "status": "; ".join(said) or "ok"}
+
+
+def would_widen(wider: float) -> str:
+    """Sentence on what a lattice leaves out, by which a variance is off as a part of itself."""
+    return f"what little is left out far away would widen the density: its variance by {wider:.0%}"
 
 
 def _extrapolated(prior: ParticleDensity, posterior: ParticleDensity) -> float:

@@ -247,6 +247,7 @@ def _usual(filt: Any) -> bool:
         sensor.check_dim(filt.model.dim)
         own = sensor.H is None or not sensor.angles  # else it sums in an order of its own
     usual = plain and filt.adapts and own and filt.model.domain.unbounded and not filt._steps
+    usual = usual and density.left_out is None  # which steps carry
     return bool(usual and (_begins(filt) if density.cloud is None else density.needs is not None))
 
 

@@ -115,12 +115,13 @@ def predict(
     infos, start = [], density.t
 
     def carried(density: ParticleDensity, t1: float) -> ParticleDensity:
+        left_out = cloud.left_out_later(density, model, t1)
         if target is None:
             density, info = _on_particles(density, model, t1, config, bound, most_particles, goes_on)
         else:
             density, info = _to_target(density, model, t1, config, target, time)
         infos.append(info)
-        return density
+        return density.noted(left_out=left_out)
 
     known = asked_before()
     for begin, stop in spans(model.breaks(start, end), start, end):
