@@ -5,12 +5,14 @@ from dataclasses import replace
 from typing import Any
 
 from ..config import FilterConfig
+from ..core.cloud.control import wrong_beside
 from ..density.as_family import as_polynomials
 from ..density.defect import ROUGH
 from ..density.memory import Memory, error_budget, flagged_from, min_nodes, tolerated_excess
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..info import DOUBTFUL, Code, may_be_off
+from ..lattice.check import Remote
 from ..prediction.again import MOST
 from ..prediction.family import fits_density
 from ..prediction.ladder import becomes_cloud, best_family, first_degree, prefers_cloud
@@ -19,7 +21,7 @@ from .by_cloud import by_cloud
 from .by_family import family_update
 from .by_lattice import by_lattice
 from .by_pieces import by_pieces
-from .inherited import left_by_update, shift_left_by_update
+from .inherited import left_by_update, shift_left_by_update, variances_off
 from .reading_at_prior import ReadingAtPrior
 
 _TRIES = 3
@@ -54,7 +56,9 @@ def by_ladder(
     if needs.waits == 0 and said["accepted"] and not said["code"] & Code.UNRESOLVED:
         one = as_polynomials(new, first_degree(new.dim, needs), error_budget(new.error, target))
         new, needs = (new, needs.refused()) if one is None else (one, needs)
-    return new.noted(needs=needs), _flagged_if_missed(said | {"error": new.error}, target)
+    beyond = Remote() if new.left_out is None else new.left_out.beside((new.mean(), new.cov()))
+    said |= {"error": math.hypot(new.error, beyond.mean)}
+    return new.noted(needs=needs), _flagged_if_missed(said, target)
 
 
 def _on_family(
@@ -120,7 +124,7 @@ def _with_inherited(new: ParticleDensity, said: dict[str, Any], left: float, of_
     """A posterior on a lattice, and what is said of it, with the errors that a prior's family brings."""
     error = math.hypot(said["error"], left)
     said = said | {"error": error, "evidence_error": math.hypot(said["evidence_error"], of_evidence)}
-    said["variance_error"] = math.hypot(said["variance_error"], math.sqrt(2.0) * left)
+    said["variance_error"] = math.hypot(said["variance_error"], variances_off(new) * left)
     if error > DOUBTFUL:
         said |= {"code": said["code"] | Code.UNRESOLVED, "status": may_be_off(error)}
     return new.noted(error=math.hypot(new.error, left)), said
@@ -131,7 +135,10 @@ def _flagged_if_missed(said: dict[str, Any], target: float) -> dict[str, Any]:
     usual = Code.CLOUD | Code.FINER
     if said["code"] & ~usual:
         return said
-    if said["error"] <= flagged_from(target):
+    flagged, wider = flagged_from(target), 2.0 * said["variance_error"]  # as of clouds
+    if said["error"] <= flagged and wider > wrong_beside(flagged):
+        return said | {"status": f"the variance may be off by {wider:.0%}", "code": Code.UNRESOLVED}
+    if said["error"] <= flagged:
         return said | {"status": "ok", "code": Code.OK}
     return said | {"status": target_missed(said["error"], target), "code": Code.COARSE}
 

@@ -1,7 +1,6 @@
 """Prior times likelihood on a lattice that follows its level set."""
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from ..lattice.field import extrapolated_mass, inside_lattice
 from ..lattice.resolved import HIGHER, TOLERATED, Resolved
 from ..lattice.walls import moved_in
 from .by_cloud import by_cloud
-from .inherited import evidence_error_of, of_shape, shift_left_by_update
+from .inherited import evidence_error_of, of_shape, shift_left_by_update, variances_off
 from .reading_at_prior import ReadingAtPrior
 
 #: Standard deviations beyond the particles to which the tail of a density is trusted, and that of a Gaussian.
@@ -65,17 +64,15 @@ def by_lattice(
         new = density
     else:
         far, unheld = (far, None) if gaussian else _remote(density, new, asked, log_evidence)
-        before = left * density.lost, left**ROUGH * density.rough
-        new = replace(
-            new, error=math.hypot(error, far.mean), lost=before[0], rough=before[1], left_out=unheld
-        )
+        known = {"error": error, "lost": left * density.lost, "rough": left**ROUGH * density.rough}
+        new = new.noted(**known, left_out=unheld)
     cut = beside(new.field, new.mean(), new.cov(), new.walls)
     left_out = cut.mass if found is None else max(cut.mass, found.left_out)
     inherited = math.nan if unknown else evidence_error_of(density, new)  # unknown, it is a guess
     return new, {
         "residual": new.residual or 0.0,
-        "error": float(np.hypot(new.error, cut.mean)),
-        "variance_error": math.hypot(math.sqrt(2.0) * math.hypot(new.error, cut.mean), far.variance),
+        "error": math.hypot(new.error, far.mean, cut.mean),
+        "variance_error": math.hypot(variances_off(new) * math.hypot(new.error, cut.mean), far.variance),
         "evidence_error": math.hypot(evidence_error, 0.0 if gaussian else left_out, inherited, unsure),
         "mass_left_out": left_out,
         "accepted": not unknown,
@@ -84,7 +81,7 @@ def by_lattice(
         "extrapolated": _extrapolated(density, new),
         "scheme": "log_density",
         "code": Code.OK,
-    } | ({} if unknown or found is None else _told(found, new.error, config.most_left_out, far.variance))
+    } | ({} if unknown or found is None else _told(found, math.hypot(new.error, far.mean), config.most_left_out, far.variance))
 
 
 def _remote(
