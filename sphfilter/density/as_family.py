@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from .._types import Floats
-from ..lattice.resolved import HIGHER
 from .defect import Defect, defect_of
 from .family import (
     OF_MISFIT,
@@ -79,11 +78,9 @@ def as_polynomials(density: ParticleDensity, degree: int, most: float) -> Partic
 
 def _with_left_out(density: ParticleDensity, family: ParticleDensity) -> ParticleDensity:
     """The family that stands for a density, with what was left out of that and what nodes know beyond it."""
-    left = density.left_out
-    if density.field is not None:
-        apart = density.logpdf(density.x) - family.logpdf(density.x)
-        beyond = LeftOut(density.x, density.mass).read(np.zeros(len(apart)), apart > HIGHER)
-        left = beyond.with_others(left, moments_on_line(family)) if beyond is not None else left
+    left, x, mass = density.left_out, density.x, density.mass
+    beyond = None if density.field is None else LeftOut.of(family, x, mass, density.logpdf(x))
+    left = left if beyond is None else beyond.beside(left, family)
     return family.noted(left_out=left)
 
 

@@ -1,13 +1,14 @@
 """What a density leaves out: too little to be kept, far away, where the next reading may find the state."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._types import Bools, Floats
+from .._types import Floats
 from ..core.limits import LARGEST_EXPONENT, LOOK, NOTHING
 from ..lattice.check import Remote, felt, remote
+from ..lattice.resolved import HIGHER
 from .quasi_random import systematic
 
 
@@ -17,24 +18,30 @@ class LeftOut(NamedTuple):
     x: Floats
     mass: Floats
 
-    def read(self, log_weight: Floats, chosen: Bools | bool = True) -> "LeftOut | None":
-        """What a reading leaves of them, or of those chosen; None of less than rounding.
+    @classmethod
+    def of(cls, new: Any, x: Floats, mass: Floats, log_p: Floats) -> "LeftOut | None":
+        """Those of states with masses that are more than rounding, of which a new density knows too little.
 
-        By their log-likelihoods (K,) less the log-evidence.
+        Their log-density was (K,) to be `log_p`.
         """
+        unknown = (mass > math.exp(-NOTHING)) & (log_p - new.logpdf(x) > HIGHER)
+        return cls(x[unknown], mass[unknown]) if unknown.any() else None
+
+    def read(self, log_weight: Floats) -> "LeftOut | None":
+        """What a reading leaves of them, by their log-likelihoods (K,) less the log-evidence."""
         mass = self.mass * np.exp(np.minimum(log_weight, LARGEST_EXPONENT))
-        chosen = chosen & (mass > math.exp(-NOTHING))
-        return LeftOut(self.x[chosen], mass[chosen]) if chosen.any() else None
+        kept = mass > math.exp(-NOTHING)
+        return LeftOut(self.x[kept], mass[kept]) if kept.any() else None
 
-    def beside(self, moments: tuple[Floats, Floats]) -> Remote:
-        """What they would add to a density of this mean (n,) and covariance (n, n)."""
-        return remote(*moments, self.x, self.mass)
-
-    def with_others(self, others: "LeftOut | None", moments: tuple[Floats, Floats]) -> "LeftOut":
-        """These and others beside a density of these moments: some hundreds at most, by what they count."""
+    def beside(self, others: "LeftOut | None", density: Any) -> "LeftOut":
+        """These and others, left out of a density: some hundreds at most, by what they count."""
         x, mass = self if others is None else map(np.concatenate, zip(self, others, strict=True))
-        times, many = felt(*moments, x), 8 * LOOK
-        chosen = systematic(mass * times / (mass @ times), many)
-        return (
-            LeftOut(x, mass) if len(mass) <= many else LeftOut(x[chosen], mass @ times / many / times[chosen])
-        )
+        times, many = felt(density.mean(), density.cov(), x), 8 * LOOK
+        some = systematic(mass * times / (mass @ times), many)
+        return LeftOut(x, mass) if len(mass) <= many else LeftOut(x[some], mass @ times / many / times[some])
+
+
+def lacking(density: Any) -> Remote:
+    """Moments that a density lacks by what was left out of it."""
+    left = density.left_out
+    return Remote() if left is None else remote(density.mean(), density.cov(), *left)

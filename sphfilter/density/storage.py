@@ -95,8 +95,8 @@ def density_from(arrays: Arrays, models: Sequence[Dynamics] = ()) -> ParticleDen
         mu, A, node, kept, log_p = (np.ascontiguousarray(arrays[f"field.{name}"]) for name in _FIELD)
         about["field"] = build_field(mu, A, node, kept.item(), log_p, stencils(n))
     for name, kind in _TUPLES.items():
-        if known := part(name, arrays):
-            about[name] = kind(**known)
+        if fields_of := part(name, arrays):
+            about[name] = kind(**fields_of)
     if "defect" in arrays:
         about["defect"] = Defect.of(arrays["defect"], about["family"].mu.size)
     if "moments.mean" in arrays:

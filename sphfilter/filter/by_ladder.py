@@ -8,11 +8,11 @@ from ..config import FilterConfig
 from ..core.cloud.control import wrong_beside
 from ..density.as_family import as_polynomials
 from ..density.defect import ROUGH
+from ..density.left_out import lacking
 from ..density.memory import Memory, error_budget, flagged_from, min_nodes, tolerated_excess
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..info import DOUBTFUL, Code, may_be_off
-from ..lattice.check import Remote
 from ..prediction.again import MOST
 from ..prediction.family import fits_density
 from ..prediction.ladder import becomes_cloud, best_family, first_degree, prefers_cloud
@@ -56,9 +56,7 @@ def by_ladder(
     if needs.waits == 0 and said["accepted"] and not said["code"] & Code.UNRESOLVED:
         one = as_polynomials(new, first_degree(new.dim, needs), error_budget(new.error, target))
         new, needs = (new, needs.refused()) if one is None else (one, needs)
-    beyond = Remote() if new.left_out is None else new.left_out.beside((new.mean(), new.cov()))
-    said |= {"error": math.hypot(new.error, beyond.mean)}
-    return new.noted(needs=needs), _flagged_if_missed(said, target)
+    return new.noted(needs=needs), _flagged_if_missed(said | {"error": new.error}, target)
 
 
 def _on_family(
@@ -113,10 +111,11 @@ def _on_lattice(
             new, said = _with_inherited(new, said, *left_by_update(density, new))
             rough = laid.rough * shift_left_by_update(density.cov(), new.cov()) ** ROUGH
             new = new.noted(rough=rough)
-        over = said["error"] / target
-        if left == 1 or not over > 1.0 or said["error"] > 0.8 * before or nodes >= MOST:
+        error = math.hypot(said["error"], lacking(new).mean if said["accepted"] else 0.0)
+        over = error / target
+        if left == 1 or not over > 1.0 or error > 0.8 * before or nodes >= MOST:
             break  # met, or the prior itself is coarse
-        before, nodes = said["error"], min(math.ceil(nodes * min(over ** (1.0 / ORDER), 3.0)), MOST)
+        before, nodes = error, min(math.ceil(nodes * min(over ** (1.0 / ORDER), 3.0)), MOST)
     return (new.noted(capacity=nodes), said), needs._replace(nodes=nodes)
 
 

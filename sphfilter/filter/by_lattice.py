@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 
 from ..config import FilterConfig
-from ..core.limits import ALIKE
+from ..core.limits import LARGEST_EXPONENT
 from ..density.defect import ROUGH
 from ..density.left_out import LeftOut
 from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code, may_be_off
-from ..lattice.check import Remote, beside, nodes_and_beside
+from ..lattice.check import beside, nodes_and_beside
 from ..lattice.field import extrapolated_mass, inside_lattice
-from ..lattice.resolved import HIGHER, TOLERATED, Resolved
+from ..lattice.resolved import TOLERATED, Resolved
 from ..lattice.walls import moved_in
 from .by_cloud import by_cloud
 from .inherited import evidence_error_of, of_shape, shift_left_by_update, variances_off
@@ -59,20 +59,18 @@ def by_lattice(
             raise
         new, unknown = density, f"not used: {flag}, where no lattice holds a posterior"
         log_evidence = asked.gaussian_evidence
-    far = Remote()
     if unknown:
         new = density
     else:
-        far, unheld = (far, None) if gaussian else _remote(density, new, asked, log_evidence)
         known = {"error": error, "lost": left * density.lost, "rough": left**ROUGH * density.rough}
-        new = new.noted(**known, left_out=unheld)
+        new = new.noted(**known, left_out=None if gaussian else _left_out(density, new, asked, log_evidence))
     cut = beside(new.field, new.mean(), new.cov(), new.walls)
     left_out = cut.mass if found is None else max(cut.mass, found.left_out)
     inherited = math.nan if unknown else evidence_error_of(density, new)  # unknown, it is a guess
     return new, {
         "residual": new.residual or 0.0,
-        "error": math.hypot(new.error, far.mean, cut.mean),
-        "variance_error": math.hypot(variances_off(new) * math.hypot(new.error, cut.mean), far.variance),
+        "error": math.hypot(new.error, cut.mean),
+        "variance_error": variances_off(new) * math.hypot(new.error, cut.mean),
         "evidence_error": math.hypot(evidence_error, 0.0 if gaussian else left_out, inherited, unsure),
         "mass_left_out": left_out,
         "accepted": not unknown,
@@ -81,30 +79,25 @@ def by_lattice(
         "extrapolated": _extrapolated(density, new),
         "scheme": "log_density",
         "code": Code.OK,
-    } | ({} if unknown or found is None else _told(found, math.hypot(new.error, far.mean), config.most_left_out, far.variance))
+    } | ({} if unknown or found is None else _told(found, new.error, config.most_left_out))
 
 
-def _remote(
+def _left_out(
     prior: ParticleDensity, posterior: ParticleDensity, asked: ReadingAtPrior, log_evidence: float
-) -> tuple[Remote, LeftOut | None]:
-    """Moments that the prior's nodes beyond a posterior's lattice, and cells around those, would add to it.
-
-    And those of them of which its polynomials know nothing either: what follows it knows nothing of them.
-    """
+) -> LeftOut | None:
+    """What the prior's nodes beyond a posterior's lattice, and cells around those, know more than it does."""
     if posterior.field is None:
-        return Remote(), None
+        return None
     X, mass = nodes_and_beside(prior.x, prior.mass, prior.field, prior.walls)
     beyond = ~inside_lattice(posterior.field, moved_in(posterior.walls, posterior.field.A, X))
     if not beyond.any():
-        return Remote(), None
+        return None
     X, log_l = X[beyond], asked.log_weight(X[beyond]) - log_evidence
-    all_of_it = LeftOut(X, mass[beyond])
-    there, unknown = all_of_it.read(log_l), prior.logpdf(X) + log_l - posterior.logpdf(X) > HIGHER
-    far = there.beside((posterior.mean(), posterior.cov())) if there else Remote()
-    return far, all_of_it.read(log_l, unknown)
+    mass = mass[beyond] * np.exp(np.minimum(log_l, LARGEST_EXPONENT))
+    return LeftOut.of(posterior, X, mass, prior.logpdf(X) + log_l)
 
 
-def _told(found: Resolved, error: float, most_left_out: float, wider: float) -> dict[str, Any]:
+def _told(found: Resolved, error: float, most_left_out: float) -> dict[str, Any]:
     """Code and status of an update whose lattice is finer than usual, or not fine or wide enough."""
     code, said = Code.OK, []
     if found.times > 1:
@@ -114,18 +107,11 @@ def _told(found: Resolved, error: float, most_left_out: float, wider: float) -> 
         said.append(f"the lattice does not resolve the posterior: its density is off by {wrong:.2g}")
     if found.left_out > most_left_out:
         said.append(f"the lattice leaves out a probability of {found.left_out:.2g} that was found elsewhere")
-    if wider > 1.0 - ALIKE:
-        said.append(would_widen(wider))
     if error > DOUBTFUL:
         said.append(may_be_off(error))
-    if wrong > TOLERATED or found.left_out > most_left_out or wider > 1.0 - ALIKE or error > DOUBTFUL:
+    if wrong > TOLERATED or found.left_out > most_left_out or error > DOUBTFUL:
         code |= Code.UNRESOLVED
     return {"code": code, "status": "; ".join(said) or "ok"}
-
-
-def would_widen(wider: float) -> str:
-    """Sentence on what a lattice leaves out, by which a variance is off as a part of itself."""
-    return f"what little is left out far away would widen the density: its variance by {wider:.0%}"
 
 
 def _extrapolated(prior: ParticleDensity, posterior: ParticleDensity) -> float:

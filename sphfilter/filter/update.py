@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from ..config import CloudScheme, FamilyScheme, FilterConfig, PaperScheme, checked_filter_config
 from ..core.limits import ALIKE
+from ..density.left_out import lacking
 from ..density.particle_density import ParticleDensity
 from ..density.resample import max_particles_of, on_lattice, target_of
 from ..info import DOUBTFUL, NOTHING_CAME, Code, UpdateInfo, may_be_off
@@ -17,7 +18,7 @@ from ..prediction.family import degree_of
 from .by_cloud import by_cloud
 from .by_family import by_family
 from .by_ladder import by_ladder
-from .by_lattice import by_lattice, would_widen
+from .by_lattice import by_lattice
 from .by_regridding import by_regridding
 from .reading_at_prior import ReadingAtPrior
 
@@ -97,24 +98,20 @@ def _with_left_out(
     prior: ParticleDensity, posterior: ParticleDensity, asked: ReadingAtPrior, info: UpdateInfo
 ) -> tuple[ParticleDensity, UpdateInfo]:
     """A posterior that knows what was left out of its prior, too, and an info that tells what that does."""
-    left = prior.left_out if info.accepted else None
-    left = left and left.read(asked.log_weight(left.x) - info.log_evidence)
-    if left is None:
+    if not info.accepted:
         return posterior, info
-    moments = posterior.mean(), posterior.cov()
-    far = left.beside(moments)
-    info = info.noted(
-        error=math.hypot(info.error, far.mean),
-        variance_error=math.hypot(info.variance_error, far.variance),
-        evidence_error=math.hypot(info.evidence_error, math.log1p(float(left.mass.sum()))),
-    )
-    return posterior.noted(left_out=left.with_others(posterior.left_out, moments)), told_of(info, far)
+    left = prior.left_out and prior.left_out.read(asked.log_weight(prior.left_out.x) - info.log_evidence)
+    new = posterior if left is None else posterior.noted(left_out=left.beside(posterior.left_out, posterior))
+    return new, info if new.left_out is None else told_of(info, lacking(new))
 
 
 def told_of(info: UpdateInfo, far: Remote) -> UpdateInfo:
-    """An info that says so where what is left out far away counts."""
+    """An info that tells of what is left out far away, and says so where it counts."""
+    wider = math.hypot(info.variance_error, far.variance)
+    info = info.noted(error=math.hypot(info.error, far.mean), variance_error=wider)
     if far.mean > DOUBTFUL:
         info = info.also(Code.UNRESOLVED, may_be_off(far.mean))
     if far.variance > 1.0 - ALIKE:
-        info = info.also(Code.UNRESOLVED, would_widen(far.variance))
+        said = f"what little is left out far away would widen the density: its variance by {far.variance:.0%}"
+        info = info.also(Code.UNRESOLVED, said)
     return info

@@ -12,19 +12,17 @@ from numpy.typing import ArrayLike
 
 from ..config import FilterConfig, LogDensityScheme
 from ..core.cloud.control import WRONG, points_for
-from ..core.limits import EDGE, LOOK, SAID
+from ..core.limits import EDGE, LARGEST_EXPONENT, LOOK, SAID
 from ..core.step_control import HELPED, TRIES
 from ..density.cloud import moments_of, points_of
-from ..density.left_out import LeftOut
+from ..density.left_out import LeftOut, lacking
 from ..density.memory import MISSED
 from ..density.particle_density import ParticleDensity
 from ..density.passage import age_of, stored_key
 from ..density.resample import max_particles_of, target_of
 from ..errors import ModelError, PropagationError
 from ..info import NOTHING_CAME, Code, UpdateInfo
-from ..lattice.check import Remote
 from ..lattice.level_set import lattice_reach
-from ..lattice.resolved import HIGHER
 from ..model.dynamics import Dynamics
 from ..model.measurements import Reading, Sensor
 from ..model.sensors import Sensors
@@ -143,8 +141,15 @@ def _used_together(
     few = len(readings) <= LOOK  # else each more costs more
     if prior is None or posterior.gaussian or prior.domain is not None or not (ends and few):
         return once
-    far, posterior = _overlooked(prior, posterior, readings, before + info.log_evidence)
-    once = posterior, told_of(info, far)
+    if posterior.left_out is None:  # nodes of the prior know of nothing: points that are drawn may
+        x, mass = points_of(prior, 32 * LOOK, stored_key(age_of(prior), len(readings)))
+        log_l = (
+            sum(sensor.log_likelihood(z, x, prior.t) for sensor, z in readings) - before - info.log_evidence
+        )
+        mass = mass * np.exp(np.minimum(log_l, LARGEST_EXPONENT))
+        posterior = posterior.noted(left_out=LeftOut.of(posterior, x, mass, prior.logpdf(x) + log_l))
+        once = posterior, told_of(info, lacking(posterior))
+    far = lacking(posterior)
     if far.mean <= MISSED * config.target_error and far.variance <= 0.5 * WRONG:
         return once
     try:
@@ -157,23 +162,6 @@ def _used_together(
         return once
     said = replace(said, innovation=info.innovation, innovation_cov=info.innovation_cov, reason=info.reason)
     return posterior, replace(said, log_evidence=said.log_evidence - before)
-
-
-def _overlooked(
-    prior: ParticleDensity, posterior: ParticleDensity, readings: Any, log_evidence: float
-) -> tuple[Remote, ParticleDensity]:
-    """Moments that a prior times likelihoods of readings has where its posterior knows nothing of them.
-
-    And the posterior with these states, unless nodes of the prior, which are finer, know what it lacks.
-    """
-    x, mass = points_of(prior, 32 * LOOK, stored_key(age_of(prior), len(readings)))
-    log_l = sum(sensor.log_likelihood(z, x, prior.t) for sensor, z in readings) - log_evidence
-    unknown = prior.logpdf(x) + log_l - posterior.logpdf(x) > HIGHER
-    found, moments = LeftOut(x, mass).read(log_l, unknown), (posterior.mean(), posterior.cov())
-    far = Remote() if found is None else found.beside(moments)
-    if posterior.left_out is not None:
-        return max(far, posterior.left_out.beside(moments), key=lambda each: each.variance), posterior
-    return far, posterior.noted(left_out=None if found is None else found.with_others(None, moments))
 
 
 def _without_family(
