@@ -224,8 +224,8 @@ class _Run:
         expected, S, _ = reading_of(sensor, span[1], points.x, points.w, moved.moments)
         y, S = sensor.residual(z, expected), S + sensor.noise_cov
         done = done.inheriting(moved.state, moved.moments)
-        variance = done.state.told.errors.variance
-        flagged = is_flagged(moved.error, done.error, variance, doubtful_from(target), flagged_from(target))
+        flags = doubtful_from(target), flagged_from(target)
+        flagged = is_flagged(moved.error, done.error, done.of_variance, *flags)
         told = done.state.told.decisive(target, model.dim)
         if max(done.error, told) > MISSED * target:
             added = error_added(state, done.state, [(model, t1)], t0, stacked, done.moments, target)
