@@ -20,15 +20,11 @@ class LeftOut(NamedTuple):
 
     @classmethod
     def of(cls, new: Any, x: Floats, mass: Floats, log_p: Floats) -> "LeftOut | None":
-        """Those of states with masses that are more than rounding, of which a new density knows too little.
-
-        Their log-density was (K,) to be `log_p`.
-        """
-        unknown = (mass > math.exp(-NOTHING)) & (log_p - new.logpdf(x) > HIGHER)
-        return cls(x[unknown], mass[unknown]) if unknown.any() else None
+        """Those of states with masses, of log-density `log_p` (K,), of which `new` knows too little."""
+        return cls(x, np.where(log_p - new.logpdf(x) > HIGHER, mass, 0.0)).read(np.zeros(len(x)))
 
     def read(self, log_weight: Floats) -> "LeftOut | None":
-        """What a reading leaves of them, by their log-likelihoods (K,) less the log-evidence."""
+        """What is left, more than rounding, of log-likelihoods (K,) less the log-evidence."""
         mass = self.mass * np.exp(np.minimum(log_weight, LARGEST_EXPONENT))
         kept = mass > math.exp(-NOTHING)
         return LeftOut(self.x[kept], mass[kept]) if kept.any() else None

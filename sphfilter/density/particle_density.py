@@ -101,7 +101,7 @@ class ParticleDensity(Noted):
     cloud : CloudState or None
         How the points of a cloud came since the last reading, and a smaller cloud that tells the error.
     left_out : LeftOut or None
-        What readings have left out of it, far away and too little to be kept.
+        What readings have left out of it, far away.
 
     Arrays are read-only; particles without mass are left out.
 

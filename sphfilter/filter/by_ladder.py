@@ -5,10 +5,8 @@ from dataclasses import replace
 from typing import Any
 
 from ..config import FilterConfig
-from ..core.cloud.control import wrong_beside
 from ..density.as_family import as_polynomials
 from ..density.defect import ROUGH
-from ..density.left_out import lacking
 from ..density.memory import Memory, error_budget, flagged_from, min_nodes, tolerated_excess
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
@@ -21,7 +19,7 @@ from .by_cloud import by_cloud
 from .by_family import family_update
 from .by_lattice import by_lattice
 from .by_pieces import by_pieces
-from .inherited import left_by_update, shift_left_by_update, variances_off
+from .inherited import left_by_update, shift_left_by_update
 from .reading_at_prior import ReadingAtPrior
 
 _TRIES = 3
@@ -111,11 +109,10 @@ def _on_lattice(
             new, said = _with_inherited(new, said, *left_by_update(density, new))
             rough = laid.rough * shift_left_by_update(density.cov(), new.cov()) ** ROUGH
             new = new.noted(rough=rough)
-        error = math.hypot(said["error"], lacking(new).mean if said["accepted"] else 0.0)
-        over = error / target
-        if left == 1 or not over > 1.0 or error > 0.8 * before or nodes >= MOST:
+        over = said["error"] / target
+        if left == 1 or not over > 1.0 or said["error"] > 0.8 * before or nodes >= MOST:
             break  # met, or the prior itself is coarse
-        before, nodes = error, min(math.ceil(nodes * min(over ** (1.0 / ORDER), 3.0)), MOST)
+        before, nodes = said["error"], min(math.ceil(nodes * min(over ** (1.0 / ORDER), 3.0)), MOST)
     return (new.noted(capacity=nodes), said), needs._replace(nodes=nodes)
 
 
@@ -123,7 +120,7 @@ def _with_inherited(new: ParticleDensity, said: dict[str, Any], left: float, of_
     """A posterior on a lattice, and what is said of it, with the errors that a prior's family brings."""
     error = math.hypot(said["error"], left)
     said = said | {"error": error, "evidence_error": math.hypot(said["evidence_error"], of_evidence)}
-    said["variance_error"] = math.hypot(said["variance_error"], variances_off(new) * left)
+    said["variance_error"] = math.hypot(said["variance_error"], math.sqrt(2.0) * left)
     if error > DOUBTFUL:
         said |= {"code": said["code"] | Code.UNRESOLVED, "status": may_be_off(error)}
     return new.noted(error=math.hypot(new.error, left)), said
@@ -134,10 +131,7 @@ def _flagged_if_missed(said: dict[str, Any], target: float) -> dict[str, Any]:
     usual = Code.CLOUD | Code.FINER
     if said["code"] & ~usual:
         return said
-    flagged, wider = flagged_from(target), 2.0 * said["variance_error"]  # as of clouds
-    if said["error"] <= flagged and wider > wrong_beside(flagged):
-        return said | {"status": f"the variance may be off by {wider:.0%}", "code": Code.UNRESOLVED}
-    if said["error"] <= flagged:
+    if said["error"] <= flagged_from(target):
         return said | {"status": "ok", "code": Code.OK}
     return said | {"status": target_missed(said["error"], target), "code": Code.COARSE}
 

@@ -6,19 +6,19 @@ from typing import Any
 import numpy as np
 
 from ..config import FilterConfig
-from ..core.limits import LARGEST_EXPONENT
+from ..core.limits import ALIKE, LARGEST_EXPONENT
 from ..density.defect import ROUGH
 from ..density.left_out import LeftOut
 from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
 from ..errors import PropagationError
 from ..info import DOUBTFUL, Code, may_be_off
-from ..lattice.check import beside, nodes_and_beside
+from ..lattice.check import Remote, beside, nodes_and_beside, remote
 from ..lattice.field import extrapolated_mass, inside_lattice
 from ..lattice.resolved import TOLERATED, Resolved
 from ..lattice.walls import moved_in
 from .by_cloud import by_cloud
-from .inherited import evidence_error_of, of_shape, shift_left_by_update, variances_off
+from .inherited import evidence_error_of, of_shape, shift_left_by_update
 from .reading_at_prior import ReadingAtPrior
 
 #: Standard deviations beyond the particles to which the tail of a density is trusted, and that of a Gaussian.
@@ -32,14 +32,9 @@ def by_lattice(
     gaussian, flag = density.gaussian and asked.linear, asked.outlying
     found, evidence_error, error, left, unsure = None, 0.0, 0.0, 1.0, 0.0
     try:
-        new, log_evidence, found = times_likelihood(
-            density,
-            asked.log_weight,
-            n_particles,
-            config.scheme,
-            gaussian,
-            None if gaussian else asked.search(density, config),
-        )
+        search = None if gaussian else asked.search(density, config)
+        about = asked.log_weight, n_particles, config.scheme, gaussian, search
+        new, log_evidence, found = times_likelihood(density, *about)
         if found.off.edge > config.most_left_out and config.scheme == "auto":
             raise PropagationError("it ends where the likelihood becomes zero, and polynomials do not")
         evidence_error = found.off.log_mass
@@ -59,18 +54,20 @@ def by_lattice(
             raise
         new, unknown = density, f"not used: {flag}, where no lattice holds a posterior"
         log_evidence = asked.gaussian_evidence
+    far = Remote()
     if unknown:
         new = density
     else:
-        known = {"error": error, "lost": left * density.lost, "rough": left**ROUGH * density.rough}
-        new = new.noted(**known, left_out=None if gaussian else _left_out(density, new, asked, log_evidence))
+        far, unheld = (far, None) if gaussian else _beyond_lattice(density, new, asked, log_evidence)
+        known = {"lost": left * density.lost, "rough": left**ROUGH * density.rough, "left_out": unheld}
+        new = new.noted(error=math.hypot(error, far.mean), **known)
     cut = beside(new.field, new.mean(), new.cov(), new.walls)
     left_out = cut.mass if found is None else max(cut.mass, found.left_out)
     inherited = math.nan if unknown else evidence_error_of(density, new)  # unknown, it is a guess
     return new, {
         "residual": new.residual or 0.0,
         "error": math.hypot(new.error, cut.mean),
-        "variance_error": variances_off(new) * math.hypot(new.error, cut.mean),
+        "variance_error": math.hypot(math.sqrt(2.0) * math.hypot(new.error, cut.mean), far.variance),
         "evidence_error": math.hypot(evidence_error, 0.0 if gaussian else left_out, inherited, unsure),
         "mass_left_out": left_out,
         "accepted": not unknown,
@@ -79,25 +76,28 @@ def by_lattice(
         "extrapolated": _extrapolated(density, new),
         "scheme": "log_density",
         "code": Code.OK,
-    } | ({} if unknown or found is None else _told(found, new.error, config.most_left_out))
+    } | ({} if unknown or found is None else _told(found, new.error, config.most_left_out, far.variance))
 
 
-def _left_out(
+def _beyond_lattice(
     prior: ParticleDensity, posterior: ParticleDensity, asked: ReadingAtPrior, log_evidence: float
-) -> LeftOut | None:
-    """What the prior's nodes beyond a posterior's lattice, and cells around those, know more than it does."""
-    if posterior.field is None:
-        return None
+) -> tuple[Remote, LeftOut | None]:
+    """Moments that the prior's nodes beyond a posterior's lattice, and cells around those, would add to it.
+
+    And those of them of which its polynomials know nothing either: what follows it knows nothing of them.
+    """
+    field: Any = posterior.field
     X, mass = nodes_and_beside(prior.x, prior.mass, prior.field, prior.walls)
-    beyond = ~inside_lattice(posterior.field, moved_in(posterior.walls, posterior.field.A, X))
+    beyond = ~inside_lattice(field, moved_in(posterior.walls, field.A, X))
     if not beyond.any():
-        return None
+        return Remote(), None
     X, log_l = X[beyond], asked.log_weight(X[beyond]) - log_evidence
     mass = mass[beyond] * np.exp(np.minimum(log_l, LARGEST_EXPONENT))
-    return LeftOut.of(posterior, X, mass, prior.logpdf(X) + log_l)
+    far = remote(posterior.mean(), posterior.cov(), X, mass)
+    return far, LeftOut.of(posterior, X, mass, prior.logpdf(X) + log_l)
 
 
-def _told(found: Resolved, error: float, most_left_out: float) -> dict[str, Any]:
+def _told(found: Resolved, error: float, most_left_out: float, wider: float) -> dict[str, Any]:
     """Code and status of an update whose lattice is finer than usual, or not fine or wide enough."""
     code, said = Code.OK, []
     if found.times > 1:
@@ -107,11 +107,18 @@ def _told(found: Resolved, error: float, most_left_out: float) -> dict[str, Any]
         said.append(f"the lattice does not resolve the posterior: its density is off by {wrong:.2g}")
     if found.left_out > most_left_out:
         said.append(f"the lattice leaves out a probability of {found.left_out:.2g} that was found elsewhere")
+    if wider > 1.0 - ALIKE:
+        said.append(would_widen(wider))
     if error > DOUBTFUL:
         said.append(may_be_off(error))
-    if wrong > TOLERATED or found.left_out > most_left_out or error > DOUBTFUL:
+    if wrong > TOLERATED or found.left_out > most_left_out or wider > 1.0 - ALIKE or error > DOUBTFUL:
         code |= Code.UNRESOLVED
     return {"code": code, "status": "; ".join(said) or "ok"}
+
+
+def would_widen(wider: float) -> str:
+    """Sentence on what lies far away and is left out, which a variance lacks as a part of itself."""
+    return f"what little is left out far away would widen the density: its variance by {wider:.0%}"
 
 
 def _extrapolated(prior: ParticleDensity, posterior: ParticleDensity) -> float:

@@ -7,7 +7,6 @@ import numpy as np
 
 from .._types import Floats
 from ..core.cloud.way import LINES
-from ..core.limits import TINY
 from ..density.as_family import defect_in, moments_on_line
 from ..density.defect import OF_UNSIGNED, ROUGH, Moments, Told, read_out, read_out_after, steepness, told_at
 from ..density.particle_density import ParticleDensity
@@ -77,18 +76,6 @@ def shift_left_by_update(prior: Floats, posterior: Floats, gaussian: bool = Fals
     white = whitener(prior)
     ratio = float((white @ posterior @ white.T).trace()) / len(prior)
     return math.sqrt(min(max(ratio, 0.0 if gaussian else _LEFT), 1.0))
-
-
-def variances_off(posterior: ParticleDensity) -> float:
-    """Error of a variance, as a part of it, for each deviation that the mean is off by: √2 of a Gaussian.
-
-    What log p is off by moves a mean by its covariance with x, a variance by that with x²: of as much at most
-    as these vary, 1 and √(kurtosis - 1), be it in few states far away that carry the variance.
-    """
-    domain, off = posterior.domain, posterior.x - posterior.mean()
-    off = off if domain is None else domain.nearest(off)
-    kurtosis = posterior.mass @ off**4 / np.maximum(posterior.mass @ off**2, TINY) ** 2
-    return math.sqrt(max(float(kurtosis.max()), 3.0) - 1.0)
 
 
 class Inherited(NamedTuple):

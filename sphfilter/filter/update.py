@@ -18,7 +18,7 @@ from ..prediction.family import degree_of
 from .by_cloud import by_cloud
 from .by_family import by_family
 from .by_ladder import by_ladder
-from .by_lattice import by_lattice
+from .by_lattice import by_lattice, would_widen
 from .by_regridding import by_regridding
 from .reading_at_prior import ReadingAtPrior
 
@@ -98,11 +98,12 @@ def _with_left_out(
     prior: ParticleDensity, posterior: ParticleDensity, asked: ReadingAtPrior, info: UpdateInfo
 ) -> tuple[ParticleDensity, UpdateInfo]:
     """A posterior that knows what was left out of its prior, too, and an info that tells what that does."""
-    if not info.accepted:
+    left = prior.left_out if info.accepted else None
+    left = left and left.read(asked.log_weight(left.x) - info.log_evidence)
+    if left is None:
         return posterior, info
-    left = prior.left_out and prior.left_out.read(asked.log_weight(prior.left_out.x) - info.log_evidence)
-    new = posterior if left is None else posterior.noted(left_out=left.beside(posterior.left_out, posterior))
-    return new, info if new.left_out is None else told_of(info, lacking(new))
+    info = told_of(info, lacking(posterior.noted(left_out=left)))
+    return posterior.noted(left_out=left.beside(posterior.left_out, posterior)), info
 
 
 def told_of(info: UpdateInfo, far: Remote) -> UpdateInfo:
@@ -112,6 +113,5 @@ def told_of(info: UpdateInfo, far: Remote) -> UpdateInfo:
     if far.mean > DOUBTFUL:
         info = info.also(Code.UNRESOLVED, may_be_off(far.mean))
     if far.variance > 1.0 - ALIKE:
-        said = f"what little is left out far away would widen the density: its variance by {far.variance:.0%}"
-        info = info.also(Code.UNRESOLVED, said)
+        info = info.also(Code.UNRESOLVED, would_widen(far.variance))
     return info

@@ -143,9 +143,8 @@ def _used_together(
         return once
     if posterior.left_out is None:  # nodes of the prior know of nothing: points that are drawn may
         x, mass = points_of(prior, 32 * LOOK, stored_key(age_of(prior), len(readings)))
-        log_l = (
-            sum(sensor.log_likelihood(z, x, prior.t) for sensor, z in readings) - before - info.log_evidence
-        )
+        log_l = sum(sensor.log_likelihood(z, x, prior.t) for sensor, z in readings)
+        log_l = log_l - before - info.log_evidence
         mass = mass * np.exp(np.minimum(log_l, LARGEST_EXPONENT))
         posterior = posterior.noted(left_out=LeftOut.of(posterior, x, mass, prior.logpdf(x) + log_l))
         once = posterior, told_of(info, lacking(posterior))

@@ -160,12 +160,9 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
 
 
 def left_out_later(density: ParticleDensity, model: Dynamics, t1: float) -> LeftOut | None:
-    """What a density has left out, at time t1: of each state several, which noise parts; None of nothing.
-
-    None, too, where there are walls, between which nothing is left out far away.
-    """
+    """What a density has left out, at time t1, of each state several: noise parts them. None in a domain."""
     left, span = density.left_out, (density.t, t1)
-    if left is None or model.domain.walled.any():
+    if left is None or not model.domain.unbounded:
         return None
     copies, key = math.ceil(8 * LOOK / len(left.x)), stored_key(age_of(density), READING + 2)
     steps, points = Steps(model.own_steps(*span) or 1), Points(left.x, left.mass / left.mass.sum())
@@ -175,8 +172,7 @@ def left_out_later(density: ParticleDensity, model: Dynamics, t1: float) -> Left
     each = np.repeat(np.arange(len(left.x)), copies)
     moved = Transitions.of(model, left.x, span, steps).moved(even(len(each), model.dim, key, 0), key, each)
     finite = np.isfinite(moved).all(axis=1)
-    x = moved[finite] if density.domain is None else density.domain.wrap(moved[finite])
-    return LeftOut(x, left.mass[each[finite]] / copies) if finite.any() else None
+    return LeftOut(moved[finite], left.mass[each[finite]] / copies) if finite.any() else None
 
 
 def shadow_size(count: int) -> int:

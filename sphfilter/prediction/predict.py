@@ -7,14 +7,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from .._types import Interval
-from ..config import (
-    CloudScheme,
-    FamilyScheme,
-    FilterConfig,
-    LogDensityScheme,
-    PaperScheme,
-    SolverConfig,
-)
+from ..config import CloudScheme, FamilyScheme, FilterConfig, LogDensityScheme, PaperScheme, SolverConfig
 from ..density.memory import Memory
 from ..density.particle_density import ParticleDensity
 from ..density.resample import max_particles_of, on_lattice, target_of

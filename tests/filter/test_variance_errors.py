@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import norm
 
 import sphfilter as sf
 from experiments.scene.scenario import load_scenario
@@ -12,7 +11,6 @@ from experiments.stress.random_cases import RandomCase
 from experiments.stress.records import default_filter
 from reference_filters.grid import GridFilter
 from sphfilter.campaign.campaign import draw_case
-from sphfilter.filter.inherited import variances_off
 
 
 @pytest.mark.parametrize("scene", ["duffing", "fitzhugh_nagumo"])
@@ -45,31 +43,13 @@ def test_a_variance_of_which_nothing_more_is_known_is_off_by_a_root_of_two_times
         assert info.variance_error == pytest.approx(np.sqrt(2.0) * info.error)
 
 
-@pytest.mark.parametrize(
-    ("case", "axis", "readings", "variance"),
-    [((71993, 9), 0, 1, 0.4605), ((80513, 49), 3, 2, 0.0604)],
-    ids=["a far mode on a lattice", "heavy tails of a cloud"],
-)
-def test_a_variance_that_few_states_carry_is_right_or_flagged(case, axis, readings, variance):
-    """The variances are those of 10^7 points of the prior, ± .05, and of clouds of 10^6 particles, ± .03."""
-    problem = replace(RandomCase(*case).problem(), n_particles="auto")
+def test_a_variance_that_heavy_tails_carry_is_right_or_flagged():
+    """Few lineages carry the second reading's: four clouds of 250,000 particles say .0604 ± 3 %."""
+    problem = replace(RandomCase(80513, 49).problem(), n_particles="auto")
     flt, flagged, before = default_filter(problem), False, problem.t0
-    for k, t in enumerate(problem.times[:readings]):
+    for k, t in enumerate(problem.times[:2]):
         for part in np.linspace(before, t, 9)[1:]:
             flt.predict(t=part)
         infos = [flt.update(z[k], sensor) for z, sensor in zip(problem.z, problem.sensors, strict=True)]
         flagged, before = flagged or any(info.flagged for info in infos), t
-    assert flagged or flt.P[axis, axis] == pytest.approx(variance, rel=0.2)
-
-
-def test_what_an_error_of_the_mean_makes_of_a_variance_goes_by_the_kurtosis():
-    def two(x):
-        return 0.98 * norm.pdf(x[:, 0]) + 0.02 * norm.pdf(x[:, 0], 8.0)
-
-    gaussian = sf.initialize(sf.Gaussian([0.0], [[1.0]]), n_particles=300)
-    assert variances_off(gaussian) == pytest.approx(np.sqrt(2.0), rel=0.01)
-    found = sf.initialize(two, n_particles=300, box=[(-6.0, 14.0)])
-    x = np.linspace(-6.0, 14.0, 20_001)
-    p = two(x[:, None]) / two(x[:, None]).sum()
-    off = x - p @ x
-    assert variances_off(found) == pytest.approx(np.sqrt(p @ off**4 / (p @ off**2) ** 2 - 1.0), rel=0.03)
+    assert flagged or flt.P[3, 3] == pytest.approx(0.0604, rel=0.2)

@@ -228,10 +228,7 @@ def carriers(x, log_w, ancestor, older):
 
 @jit
 def least_number(number, together, part):
-    """A number of independent points, or that which lineages tell by what they add, if it is less.
-
-    Their weights have squares of a sum together; `part` is that of what they add, over one point's.
-    """
+    """A number, or that which lineages tell by squares of weights and of what they add, if less."""
     known = part > 0.0 and 1.0 - together > ROUNDING  # else one has left all, and tells nothing
     return min(number, max((1.0 - together) / part, 1.0)) if known else number
 
@@ -297,9 +294,7 @@ def turned(x):
 
 @jit
 def _added(x, w, lineage, mean, cov):
-    """What lineages add to the mean (n,), to the weight and to the variances, (2 n + 1, lineages), and the
-    number of each.
-    """
+    """What lineages add to mean, weight and variances, (2 n + 1, lineages), and the number of each."""
     n, N = x.shape
     out, member, count = np.zeros((2 * n + 1, lineage.max() + 1)), np.empty(N, np.int64), 0
     for i in range(N):
