@@ -1,5 +1,6 @@
 """States far away that a reading, or two of one time, leave little of: variances count them all the same."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -89,6 +90,8 @@ def test_what_one_reading_left_out_counts_at_the_next(predicted):
         if predicted:
             flt.predict(t=float(t))
         infos.append(flt.update(reading))
+        kept = pickle.loads(pickle.dumps(flt.density)).left_out
+        assert all(map(np.array_equal, kept, flt.density.left_out))
     log_w = [-off + sum(gaussian([mean], [[1.0 + R]])([x]) for x in z) for off, mean in pieces]
     assert not infos[0].flagged
     share = 1.0 / (1.0 + np.exp(log_w[0] - log_w[1]))
