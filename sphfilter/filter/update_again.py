@@ -222,7 +222,7 @@ def _on_more_points(
         error = _deciding(posterior, info, target, 0.0 if led else cloud.inherited)
         if error > MISSED * target:
             error = _added(prediction, prior, posterior, error, target)
-        more = points_for(cloud.size, error, target) if error > MISSED * target else 0
+        more = points_for(cloud.size, error, target, prior.dim) if error > MISSED * target else 0
         if more <= cloud.size and (tries > 0 or led):
             break
         wanted = known._replace(points=more or known.points, waits=max(known.waits, 1))
@@ -247,8 +247,9 @@ def _on_more_points(
         usual = known
         if _deciding(posterior, info, target) < HELPED * _deciding(*once[1:], target):
             told = cloud.told.decisive(target, prior.dim)
-            usual = known._replace(calm=max(known.calm, 0)).told(told, target, cloud.size)
-        posterior = posterior.noted(needs=needs._replace(points=usual.cloud(target), calm=usual.calm))
+            usual = known._replace(calm=max(known.calm, 0)).told(told, target, cloud.size, prior.dim)
+        points = usual.cloud(target, prior.dim)
+        posterior = posterior.noted(needs=needs._replace(points=points, calm=usual.calm))
     return prior, posterior, info
 
 

@@ -157,7 +157,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         ahead = both(ahead, bias.mean)
         flagged[j] = is_flagged(ahead, error[j], wider[j], bounds.unresolved, bounds.flagged)
         told = decisive(error_by(squares[0]), error_by(squares[1]), bounds.target, n)
-        wanted = points_for(count, told, bounds.target)
+        wanted = points_for(count, told, bounds.target, n)
         points, calm = next_points(count, wanted, s.calm)
         (a, b, c), (d, e, f) = one.found[:3], two.found[:3]
         stiff = own.flow == stiff_flow
