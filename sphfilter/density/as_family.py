@@ -7,15 +7,8 @@ import numpy as np
 
 from .._types import Floats
 from .defect import Defect, defect_of
-from .family import (
-    OF_MISFIT,
-    Family,
-    fitted,
-    gaussian_family,
-    moments_apart,
-    node_moments,
-    particles_of,
-)
+from .family import OF_MISFIT, Family, fitted, gaussian_family, moments_apart, node_moments, particles_of
+from .left_out import LeftOut
 from .max_entropy import max_entropy
 from .particle_density import ParticleDensity
 from .pieces import Pieces, particles_of_pieces
@@ -72,7 +65,11 @@ def as_polynomials(density: ParticleDensity, degree: int, most: float) -> Partic
         return None
     error = math.hypot(density.error, OF_MISFIT * found[1])
     new = family_density(density, found[0], error=error, defect=defect_in(density, *found))
-    return new if _agree(density, new, most) else None
+    if not _agree(density, new, most):
+        return None
+    x, mass = density.x, density.mass
+    beyond = None if density.field is None else LeftOut.of(new, x, mass, density.logpdf(x))
+    return new.noted(left_out=density.left_out if beyond is None else beyond.beside(density.left_out, new))
 
 
 def _fitted(density: ParticleDensity, degree: int) -> tuple[Family, float] | None:

@@ -21,6 +21,7 @@ from . import statistics
 from .cloud import Cloud
 from .defect import Defect
 from .family import Family
+from .left_out import LeftOut
 from .marginal import around
 from .memory import Memory
 from .pieces import Pieces
@@ -99,6 +100,8 @@ class ParticleDensity(Noted):
         Size of what a family, or one that a lattice follows, may have got wrong of the shape of log p.
     cloud : CloudState or None
         How the points of a cloud came since the last reading, and a smaller cloud that tells the error.
+    left_out : LeftOut or None
+        What readings have left out of it, far away.
 
     Arrays are read-only; particles without mass are left out.
 
@@ -137,6 +140,7 @@ class ParticleDensity(Noted):
     defect: Defect | None = None
     pieces: Pieces | None = None
     needs: Memory | None = None
+    left_out: LeftOut | None = None
 
     def __post_init__(self) -> None:
         x = array("x", self.x, (None, None))

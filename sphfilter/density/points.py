@@ -144,6 +144,7 @@ class Carried(NamedTuple):
     log_evidence: float
     mean: Floats  # (n,)
     cov: Floats  # (n, n)
+    alone: float  # for variances, were each point its own
     of_variance: float  # for variances
     effective: float  # for means
     lineages: float  # for the evidence

@@ -28,6 +28,7 @@ from .as_cloud import cloud_density, cloud_of
 from .cloud import matched
 from .defect import Defect
 from .family import Family
+from .left_out import LeftOut
 from .memory import Memory
 from .particle_density import ParticleDensity
 from .passage import gone_again
@@ -38,7 +39,7 @@ from .quasi_random import weighted_points
 #: Arrays by name.
 Arrays: TypeAlias = dict[str, NDArray[Any]]
 FORMAT = 1
-_FORMULAS: dict[str, Any] = {"family": Family, "pieces": Pieces}
+_TUPLES: dict[str, Any] = {"family": Family, "pieces": Pieces, "left_out": LeftOut}
 _ARRAYS = "x", "mass", "h", "log_density", "invariant"
 _OF_FAMILIES = 2**12  # points of a sum of families: random ones would have a mean within 1 / √2^12 = .016
 _FIELD = "mu", "A", "node", "kept", "log_p"  # what a field is built from
@@ -51,14 +52,14 @@ def stored(density: ParticleDensity) -> Arrays:
         arrays |= {f"field.{name}": getattr(density.field, name) for name in _FIELD}
     if density.moments is not None:
         arrays |= {"moments.mean": density.moments[0], "moments.cov": density.moments[1]}
-    for name in _FORMULAS:
-        if (own := getattr(density, name)) is not None:
-            arrays |= under(name, own._asdict())
     if density.defect is not None:
         arrays["defect"] = density.defect.packed
     if density.cloud is not None:
         arrays = _stored_cloud(density.cloud)
-    special = {*_ARRAYS, *_FORMULAS, "field", "moments", "domain", "defect", "cloud"}
+    for name in _TUPLES:
+        if (own := getattr(density, name)) is not None:
+            arrays |= under(name, own._asdict())
+    special = {*_ARRAYS, *_TUPLES, "field", "moments", "domain", "defect", "cloud"}
     about: dict[str, Any] = {
         f.name: getattr(density, f.name) for f in fields(density) if f.init and f.name not in special
     }
@@ -93,9 +94,9 @@ def density_from(arrays: Arrays, models: Sequence[Dynamics] = ()) -> ParticleDen
         arrays = {"field.kept": np.array(len(arrays["field.node"]))} | arrays  # which older files do not have
         mu, A, node, kept, log_p = (np.ascontiguousarray(arrays[f"field.{name}"]) for name in _FIELD)
         about["field"] = build_field(mu, A, node, kept.item(), log_p, stencils(n))
-    for name, kind in _FORMULAS.items():
-        if formula := part(name, arrays):
-            about[name] = kind(**formula)
+    for name, kind in _TUPLES.items():
+        if fields_of := part(name, arrays):
+            about[name] = kind(**fields_of)
     if "defect" in arrays:
         about["defect"] = Defect.of(arrays["defect"], about["family"].mu.size)
     if "moments.mean" in arrays:

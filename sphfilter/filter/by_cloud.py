@@ -92,7 +92,7 @@ class CloudReading(NamedTuple):
     @property
     def doubt(self) -> float:
         """By how much of itself the variance may be off."""
-        return 2.0 * self.state.told.errors.variance
+        return 2.0 * self.of_variance
 
     def inheriting(self, before: CloudState, prior: tuple[Floats, Floats]) -> "CloudReading":
         """With what the reading leaves of an error that there was before there were points.

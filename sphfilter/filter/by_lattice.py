@@ -1,7 +1,6 @@
 """Prior times likelihood on a lattice that follows its level set."""
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +8,7 @@ import numpy as np
 from ..config import FilterConfig
 from ..core.limits import ALIKE, LARGEST_EXPONENT
 from ..density.defect import ROUGH
+from ..density.left_out import LeftOut
 from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
 from ..errors import PropagationError
@@ -32,14 +32,9 @@ def by_lattice(
     gaussian, flag = density.gaussian and asked.linear, asked.outlying
     found, evidence_error, error, left, unsure = None, 0.0, 0.0, 1.0, 0.0
     try:
-        new, log_evidence, found = times_likelihood(
-            density,
-            asked.log_weight,
-            n_particles,
-            config.scheme,
-            gaussian,
-            None if gaussian else asked.search(density, config),
-        )
+        search = None if gaussian else asked.search(density, config)
+        about = asked.log_weight, n_particles, config.scheme, gaussian, search
+        new, log_evidence, found = times_likelihood(density, *about)
         if found.off.edge > config.most_left_out and config.scheme == "auto":
             raise PropagationError("it ends where the likelihood becomes zero, and polynomials do not")
         evidence_error = found.off.log_mass
@@ -63,15 +58,15 @@ def by_lattice(
     if unknown:
         new = density
     else:
-        far = far if gaussian else _remote(density, new, asked, log_evidence)
-        before = left * density.lost, left**ROUGH * density.rough
-        new = replace(new, error=math.hypot(error, far.mean), lost=before[0], rough=before[1])
+        far, unheld = (far, None) if gaussian else _beyond_lattice(density, new, asked, log_evidence)
+        known = {"lost": left * density.lost, "rough": left**ROUGH * density.rough, "left_out": unheld}
+        new = new.noted(error=math.hypot(error, far.mean), **known)
     cut = beside(new.field, new.mean(), new.cov(), new.walls)
     left_out = cut.mass if found is None else max(cut.mass, found.left_out)
     inherited = math.nan if unknown else evidence_error_of(density, new)  # unknown, it is a guess
     return new, {
         "residual": new.residual or 0.0,
-        "error": float(np.hypot(new.error, cut.mean)),
+        "error": math.hypot(new.error, cut.mean),
         "variance_error": math.hypot(math.sqrt(2.0) * math.hypot(new.error, cut.mean), far.variance),
         "evidence_error": math.hypot(evidence_error, 0.0 if gaussian else left_out, inherited, unsure),
         "mass_left_out": left_out,
@@ -84,19 +79,22 @@ def by_lattice(
     } | ({} if unknown or found is None else _told(found, new.error, config.most_left_out, far.variance))
 
 
-def _remote(
+def _beyond_lattice(
     prior: ParticleDensity, posterior: ParticleDensity, asked: ReadingAtPrior, log_evidence: float
-) -> Remote:
-    """Moments that the prior's nodes beyond a posterior's lattice would add to it, and cells around those."""
-    if posterior.field is None:
-        return Remote()
+) -> tuple[Remote, LeftOut | None]:
+    """Moments that the prior's nodes beyond a posterior's lattice, and cells around those, would add to it.
+
+    And those of them of which its polynomials know nothing either: what follows it knows nothing of them.
+    """
+    field: Any = posterior.field
     X, mass = nodes_and_beside(prior.x, prior.mass, prior.field, prior.walls)
-    beyond = ~inside_lattice(posterior.field, moved_in(posterior.walls, posterior.field.A, X))
+    beyond = ~inside_lattice(field, moved_in(posterior.walls, field.A, X))
     if not beyond.any():
-        return Remote()
-    X = X[beyond]
-    mass = mass[beyond] * np.exp(np.minimum(asked.log_weight(X) - log_evidence, LARGEST_EXPONENT))
-    return remote(posterior.mean(), posterior.cov(), X, mass)
+        return Remote(), None
+    X, log_l = X[beyond], asked.log_weight(X[beyond]) - log_evidence
+    mass = mass[beyond] * np.exp(np.minimum(log_l, LARGEST_EXPONENT))
+    far = remote(posterior.mean(), posterior.cov(), X, mass)
+    return far, LeftOut.of(posterior, X, mass, prior.logpdf(X) + log_l)
 
 
 def _told(found: Resolved, error: float, most_left_out: float, wider: float) -> dict[str, Any]:
@@ -110,12 +108,17 @@ def _told(found: Resolved, error: float, most_left_out: float, wider: float) -> 
     if found.left_out > most_left_out:
         said.append(f"the lattice leaves out a probability of {found.left_out:.2g} that was found elsewhere")
     if wider > 1.0 - ALIKE:
-        said.append(f"what little is left out far away would widen the density: its variance by {wider:.0%}")
+        said.append(would_widen(wider))
     if error > DOUBTFUL:
         said.append(may_be_off(error))
     if wrong > TOLERATED or found.left_out > most_left_out or wider > 1.0 - ALIKE or error > DOUBTFUL:
         code |= Code.UNRESOLVED
     return {"code": code, "status": "; ".join(said) or "ok"}
+
+
+def would_widen(wider: float) -> str:
+    """Sentence on what lies far away and is left out, which a variance lacks as a part of itself."""
+    return f"what little is left out far away would widen the density: its variance by {wider:.0%}"
 
 
 def _extrapolated(prior: ParticleDensity, posterior: ParticleDensity) -> float:

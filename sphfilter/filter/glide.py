@@ -224,8 +224,8 @@ class _Run:
         expected, S, _ = reading_of(sensor, span[1], points.x, points.w, moved.moments)
         y, S = sensor.residual(z, expected), S + sensor.noise_cov
         done = done.inheriting(moved.state, moved.moments)
-        variance = done.state.told.errors.variance
-        flagged = is_flagged(moved.error, done.error, variance, doubtful_from(target), flagged_from(target))
+        flags = doubtful_from(target), flagged_from(target)
+        flagged = is_flagged(moved.error, done.error, done.of_variance, *flags)
         told = done.state.told.decisive(target, model.dim)
         if max(done.error, told) > MISSED * target:
             added = error_added(state, done.state, [(model, t1)], t0, stacked, done.moments, target)
@@ -247,6 +247,7 @@ def _usual(filt: Any) -> bool:
         sensor.check_dim(filt.model.dim)
         own = sensor.H is None or not sensor.angles  # else it sums in an order of its own
     usual = plain and filt.adapts and own and filt.model.domain.unbounded and not filt._steps
+    usual = usual and density.left_out is None  # which steps carry
     return bool(usual and (_begins(filt) if density.cloud is None else density.needs is not None))
 
 

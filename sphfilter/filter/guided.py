@@ -87,7 +87,7 @@ def _better(best: Carried, other: Carried | None) -> Carried:
     """The better one of two, if there are two."""
     if other is None:
         return best
-    said, known = ((c.lineages, c.of_variance, c.log_evidence) for c in (other, best))
+    said, known = ((c.lineages, c.alone, c.log_evidence) for c in (other, best))
     return other if is_better(*said, known) else best
 
 

@@ -1,20 +1,24 @@
 """The measurement update: prior times likelihood, on a new lattice, with its evidence."""
 
+import math
 from time import perf_counter
 from typing import Any, Literal
 
 from numpy.typing import ArrayLike
 
 from ..config import CloudScheme, FamilyScheme, FilterConfig, PaperScheme, checked_filter_config
+from ..core.limits import ALIKE
+from ..density.left_out import lacking
 from ..density.particle_density import ParticleDensity
 from ..density.resample import max_particles_of, on_lattice, target_of
-from ..info import NOTHING_CAME, UpdateInfo
+from ..info import DOUBTFUL, NOTHING_CAME, Code, UpdateInfo, may_be_off
+from ..lattice.check import Remote
 from ..model.measurements import Sensor
 from ..prediction.family import degree_of
 from .by_cloud import by_cloud
 from .by_family import by_family
 from .by_ladder import by_ladder
-from .by_lattice import by_lattice
+from .by_lattice import by_lattice, would_widen
 from .by_regridding import by_regridding
 from .reading_at_prior import ReadingAtPrior
 
@@ -86,4 +90,28 @@ def update(
         posterior, said = by(prior, asked, bound, config)
     off: dict[str, Any] = {"innovation": asked.innovation, "innovation_cov": asked.S}
     seconds = perf_counter() - began
-    return posterior, UpdateInfo(n_particles=posterior.n_particles, seconds=seconds, **off, **said)
+    info = UpdateInfo(n_particles=posterior.n_particles, seconds=seconds, **off, **said)
+    return _with_left_out(density, posterior, asked, info)
+
+
+def _with_left_out(
+    prior: ParticleDensity, posterior: ParticleDensity, asked: ReadingAtPrior, info: UpdateInfo
+) -> tuple[ParticleDensity, UpdateInfo]:
+    """A posterior that knows what was left out of its prior, too, and an info that tells what that does."""
+    left = prior.left_out if info.accepted else None
+    left = left and left.read(asked.log_weight(left.x) - info.log_evidence)
+    if left is None:
+        return posterior, info
+    info = told_of(info, lacking(posterior.noted(left_out=left)))
+    return posterior.noted(left_out=left.beside(posterior.left_out, posterior)), info
+
+
+def told_of(info: UpdateInfo, far: Remote) -> UpdateInfo:
+    """An info that tells of what is left out far away, and says so where it counts."""
+    wider = math.hypot(info.variance_error, far.variance)
+    info = info.noted(error=math.hypot(info.error, far.mean), variance_error=wider)
+    if far.mean > DOUBTFUL:
+        info = info.also(Code.UNRESOLVED, may_be_off(far.mean))
+    if far.variance > 1.0 - ALIKE:
+        info = info.also(Code.UNRESOLVED, would_widen(far.variance))
+    return info

@@ -15,15 +15,14 @@ from ..core.cloud.control import WRONG, points_for
 from ..core.limits import EDGE, LARGEST_EXPONENT, LOOK, SAID
 from ..core.step_control import HELPED, TRIES
 from ..density.cloud import moments_of, points_of
+from ..density.left_out import LeftOut, lacking
 from ..density.memory import MISSED
 from ..density.particle_density import ParticleDensity
 from ..density.passage import age_of, stored_key
 from ..density.resample import max_particles_of, target_of
 from ..errors import ModelError, PropagationError
 from ..info import NOTHING_CAME, Code, UpdateInfo
-from ..lattice.check import Remote, remote
 from ..lattice.level_set import lattice_reach
-from ..lattice.resolved import HIGHER
 from ..model.dynamics import Dynamics
 from ..model.measurements import Reading, Sensor
 from ..model.sensors import Sensors
@@ -31,7 +30,7 @@ from ..prediction.again import Ladder, Outcome
 from ..prediction.predict import Prediction, predict
 from .by_cloud import error_added
 from .stacked import Stacked
-from .update import update
+from .update import told_of, update
 
 _LADDER = Ladder(deeper=0.7)
 
@@ -142,7 +141,14 @@ def _used_together(
     few = len(readings) <= LOOK  # else each more costs more
     if prior is None or posterior.gaussian or prior.domain is not None or not (ends and few):
         return once
-    far = _overlooked(prior, posterior, readings, before + info.log_evidence)
+    if posterior.left_out is None:  # nodes of the prior know of nothing: points that are drawn may
+        x, mass = points_of(prior, 32 * LOOK, stored_key(age_of(prior), len(readings)))
+        log_l = sum(sensor.log_likelihood(z, x, prior.t) for sensor, z in readings)
+        log_l = log_l - before - info.log_evidence
+        mass = mass * np.exp(np.minimum(log_l, LARGEST_EXPONENT))
+        posterior = posterior.noted(left_out=LeftOut.of(posterior, x, mass, prior.logpdf(x) + log_l))
+        once = posterior, told_of(info, lacking(posterior))
+    far = lacking(posterior)
     if far.mean <= MISSED * config.target_error and far.variance <= 0.5 * WRONG:
         return once
     try:
@@ -151,19 +157,10 @@ def _used_together(
         posterior, said = update(prior, sensors, z, config, n_particles=n_particles)
     except (ModelError, PropagationError):
         return once
+    if said.flagged and not once[1].flagged:
+        return once
     said = replace(said, innovation=info.innovation, innovation_cov=info.innovation_cov, reason=info.reason)
     return posterior, replace(said, log_evidence=said.log_evidence - before)
-
-
-def _overlooked(
-    prior: ParticleDensity, posterior: ParticleDensity, readings: Any, log_evidence: float
-) -> Remote:
-    """Moments that a prior times likelihoods of readings has where its posterior knows nothing of them."""
-    x, mass = points_of(prior, 32 * LOOK, stored_key(age_of(prior), len(readings)))
-    log_l = sum(sensor.log_likelihood(z, x, prior.t) for sensor, z in readings) - log_evidence
-    unknown = prior.logpdf(x) + log_l - posterior.logpdf(x) > HIGHER
-    mass = mass[unknown] * np.exp(np.minimum(log_l[unknown], LARGEST_EXPONENT))
-    return remote(posterior.mean(), posterior.cov(), x[unknown], mass)
 
 
 def _without_family(

@@ -23,8 +23,11 @@ from ..density.as_cloud import cloud_of
 from ..density.as_family import moments_on_line
 from ..density.cloud import points_of
 from ..density.defect import read_out
+from ..density.left_out import LeftOut
 from ..density.particle_density import ParticleDensity
 from ..density.passage import (
+    READING,
+    Transitions,
     age_of,
     chosen_steps,
     moved_points,
@@ -33,6 +36,7 @@ from ..density.passage import (
     stored_key,
 )
 from ..density.points import CloudState, Origin, Pace, Points, columns, moments
+from ..density.quasi_random import even
 from ..errors import PropagationError, StoppedError
 from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.domain import Domain
@@ -153,6 +157,22 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
         unsigned = read_out(density.family, density.defect).unsigned
         origin = Origin(density.family, density.defect, unsigned)
     return CloudState(points, shadow, count, inherited=density.error, age=age, origin=origin)
+
+
+def left_out_later(density: ParticleDensity, model: Dynamics, t1: float) -> LeftOut | None:
+    """What a density has left out, at time t1, of each state several: noise parts them. None in a domain."""
+    left, span = density.left_out, (density.t, t1)
+    if left is None or not model.domain.unbounded:
+        return None
+    copies, key = math.ceil(8 * LOOK / len(left.x)), stored_key(age_of(density), READING + 2)
+    steps, points = Steps(model.own_steps(*span) or 1), Points(left.x, left.mass / left.mass.sum())
+    if not (model.linear or model.own_steps(*span)):
+        bounds = least_steps(model, left.x, span), CloudScheme().max_steps
+        steps, *_ = chosen_steps(points, model, span, Steps(FIRST_TRIED), bounds, DOUBTFUL, key)
+    each = np.repeat(np.arange(len(left.x)), copies)
+    moved = Transitions.of(model, left.x, span, steps).moved(even(len(each), model.dim, key, 0), key, each)
+    finite = np.isfinite(moved).all(axis=1)
+    return LeftOut(moved[finite], left.mass[each[finite]] / copies) if finite.any() else None
 
 
 def shadow_size(count: int) -> int:

@@ -7,14 +7,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from .._types import Interval
-from ..config import (
-    CloudScheme,
-    FamilyScheme,
-    FilterConfig,
-    LogDensityScheme,
-    PaperScheme,
-    SolverConfig,
-)
+from ..config import CloudScheme, FamilyScheme, FilterConfig, LogDensityScheme, PaperScheme, SolverConfig
 from ..density.memory import Memory
 from ..density.particle_density import ParticleDensity
 from ..density.resample import max_particles_of, on_lattice, target_of
@@ -115,12 +108,13 @@ def predict(
     infos, start = [], density.t
 
     def carried(density: ParticleDensity, t1: float) -> ParticleDensity:
+        left_out = cloud.left_out_later(density, model, t1)
         if target is None:
             density, info = _on_particles(density, model, t1, config, bound, most_particles, goes_on)
         else:
             density, info = _to_target(density, model, t1, config, target, time)
         infos.append(info)
-        return density
+        return density.noted(left_out=left_out)
 
     known = asked_before()
     for begin, stop in spans(model.breaks(start, end), start, end):

@@ -1,5 +1,6 @@
 """States far away that a reading, or two of one time, leave little of: variances count them all the same."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -70,3 +71,30 @@ def test_of_two_readings_of_one_time_the_second_brings_out_what_the_first_left_o
     assert not infos[-1].flagged
     assert np.abs((flt.x - exact.mean) / np.sqrt(np.diag(exact.cov))).max() < 0.03
     assert np.diag(flt.P) == pytest.approx(np.diag(exact.cov), rel=0.1)
+
+
+@pytest.mark.parametrize("predicted", [False, True])
+def test_what_one_reading_left_out_counts_at_the_next(predicted):
+    """5e-6 are left out 30 deviations away; a reading later, and an interval, they are most of a variance."""
+    pieces = [(-np.log(0.997), 0.0), (-np.log(0.003), 30.0)]
+    R, z = 92.0, (-5.0, 42.0)
+
+    def log_p(x):
+        return np.logaddexp(*(gaussian([mean], [[1.0]])(x) - off for off, mean in pieces))
+
+    start = sf.initialize(lambda x: np.exp(log_p(x)), n_particles=300, box=[(-8.0, 38.0)])
+    sensor, model = sf.GaussianMeasurement([[1.0]], [[R]]), sf.LinearSDE([[0.0]], noise=[[1e-3]])
+    flt = sf.SPHFilter(model, sensor, density=start)
+    infos = []
+    for t, reading in enumerate(z, start=1):
+        if predicted:
+            flt.predict(t=float(t))
+        infos.append(flt.update(reading))
+        kept = pickle.loads(pickle.dumps(flt.density)).left_out
+        assert all(map(np.array_equal, kept, flt.density.left_out))
+    log_w = [-off + sum(gaussian([mean], [[1.0 + R]])([x]) for x in z) for off, mean in pieces]
+    assert not infos[0].flagged
+    share = 1.0 / (1.0 + np.exp(log_w[0] - log_w[1]))
+    wider = share * (1.0 - share) * 30.0**2
+    assert flt.P[0, 0] == pytest.approx(1.0 + wider, rel=0.1) or infos[1].flagged
+    assert infos[1].variance_error == pytest.approx(wider, rel=0.1)

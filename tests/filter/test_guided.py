@@ -282,6 +282,15 @@ def test_of_heavy_tails_few_points_know_the_variance():
         assert of_variances(columns(x), w, mean, cov) == pytest.approx(number, rel=0.15)
 
 
+def test_copies_know_a_variance_no_better_than_what_they_are_copies_of():
+    """A hundredth of the points, which come from one now or a reading before, carries half of a variance."""
+    x, each = np.random.default_rng(0).standard_normal((2, 20_000)), np.arange(20_000)
+    x[:, :200], together = 10.0, np.maximum(each - 199, 0)
+    for ancestor, older in ((together, NO_LINES), (each, together[None])):
+        alone, told, *_ = carriers(x, np.log(np.full(20_000, 5e-5)), ancestor, older)[-4:]
+        assert told < 10.0 < 1000.0 < alone
+
+
 @pytest.mark.parametrize("key", range(3))
 def test_variances_that_tails_carry_are_kept_under_a_sharp_peak(key):
     """A Gaussian whose velocity is read with noise of Cauchy's law, against a sum over its logarithm."""

@@ -145,17 +145,17 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         few = over(own, own.flow, *span, fewer)
         one, two = _both(about, few, s, nets, curve)
         ahead, squares = _told(s, one, two, count)
-        error[j], wider[j] = errors_told(*squares[:2], one.found[7], one.found[6], count, bias)
+        error[j], wider[j] = errors_told(*squares[:2], one.found[8], one.found[7], count, bias)
         if not (one.usual and two.usual and error[j] == error[j]):
             end = UNUSUAL
             break
         m[j], P[j], x[j], C[j] = one.mean, one.cov, one.found[4], one.found[5]
         evidence[j] = one.found[3]
-        unsure[j] = evidence_error(squares[2], one.found[8], count, n)
+        unsure[j] = evidence_error(squares[2], one.found[9], count, n)
         if reader.h != NOWHERE_AT:  # of a linear sensor the moments say it
             off[j], S[j] = foreseen(about[3], one.y, one.w, one.mean)
-        ahead, doubt = both(ahead, bias.mean), error_by(squares[1])
-        flagged[j] = is_flagged(ahead, error[j], doubt, bounds.unresolved, bounds.flagged)
+        ahead = both(ahead, bias.mean)
+        flagged[j] = is_flagged(ahead, error[j], wider[j], bounds.unresolved, bounds.flagged)
         told = decisive(error_by(squares[0]), error_by(squares[1]), bounds.target, n)
         wanted = points_for(count, told, bounds.target, n)
         points, calm = next_points(count, wanted, s.calm)
@@ -277,17 +277,17 @@ def _cycled(about, cloud, nets, keys, curve):
     if near_others(y, AWAY)[1]:  # else what reads may be asked where no state is
         z, log_w, ancestor, wrong = _weigh_at(parts[3])(way, (nets[0], nets[1], nets[2]), keys[1])
     found, number = _carried_at(parts[4])(z, log_w, ancestor, older), effective(w)
-    unled = is_led(found[8], number, count)
+    unled = is_led(found[9], number, count)
     if unled and wrong == 0 and nets[3].size > 0:
-        by = (nets[3], nets[4], nets[5]), keys[1], least_led(found[8]), curve
+        by = (nets[3], nets[4], nets[5]), keys[1], least_led(found[9]), curve
         z, log_w, ancestor, wrong = _bridge_at(parts[6])(way, *by)
         unled = False
         if log_w.size > 0:
             led = _carried_at(parts[4])(z, log_w, ancestor, older)
-            found = led if is_better(led[8], led[6], led[3], (found[8], found[6], found[3])) else found
+            found = led if is_better(led[9], led[6], led[3], (found[9], found[6], found[3])) else found
     mean, cov = np.empty(n), np.empty((n, n))
     weighted_moments(y, w, mean, cov)
-    few = unled or is_tempered(found[8], number, count, False)
+    few = unled or is_tempered(found[9], number, count, False)
     usual = not few and wrong == 0 and found[3] > -np.inf
     return _Cycled(usual, y, w, mean, cov, found)
 
@@ -300,7 +300,7 @@ def _told(s, one, two, count):
     first, second, _ = compared(one.mean, one.cov, two.mean, two.cov)
     ahead = error_by(smoothed(mean, apart_by(first, second, n)))
     if mean != mean:
-        mean = expected_square(two.found[7])
+        mean = expected_square(two.found[8])
         variance = (n + 1.0) * mean
     first, second, most = compared(one.found[4], one.found[5], two.found[4], two.found[5])
     mean, variance = smoothed(mean, apart_by(first, second, n)), smoothed(variance, most)

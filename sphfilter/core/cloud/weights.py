@@ -199,8 +199,8 @@ def carriers(x, log_w, ancestor, older):
         Those with weights, of sum one, and their ancestors; all, without weights, where none has any.
     log_evidence : float
     mean, cov : ndarray, shapes (n,), (n, n)
-    of_variance, effective, lineages : float
-        Numbers for variances, for the mean and for the evidence.
+    alone, of_variance, effective, lineages : float
+        Numbers for variances were each point its own and as they are, for the mean and for the evidence.
     """
     n, N = x.shape
     log_w, w, mean, cov = log_w.copy(), np.zeros(N), np.zeros(n), np.zeros((n, n))
@@ -209,26 +209,33 @@ def carriers(x, log_w, ancestor, older):
         log_w[i] = log_w[i] if fine[i] else -np.inf
     log_evidence = normalise(log_w, w)
     if not abs(log_evidence) < np.inf:
-        return x, w, _lines(ancestor, older, 0.0), -np.inf, mean, cov, 0.0, 0.0, 0.0
+        return x, w, _lines(ancestor, older, 0.0), -np.inf, mean, cov, 0.0, 0.0, 0.0, 0.0
     heavy = np.flatnonzero(w > 0.0)
     if heavy.size < N:
         x, w, ancestor = taken(x, heavy), w[heavy], ancestor[heavy]
     weighted_moments(x, w, mean, cov)
-    added, member = _added(x, w, ancestor, mean)
-    squares, part = _squares(added, cov)
+    added, member = _added(x, w, ancestor, mean, cov)
+    squares, part, wider = _squares(added, cov)
     lineages = 1.0 / squares
-    number = lineages
+    number, alone = lineages, of_variances(x, w, mean, cov)
+    of_variance = least_number(alone, squares, wider)
     if part > 0.0:
         # few lineages may agree by chance, and one agrees with itself: a variance seen L - 1 times
         number = max(lineages, min(effective(w), (1.0 - squares) / part, lineages * lineages))
     together = squares
     for own in older:
         added, member = _gathered(added, member, own)
-        together, part = _squares(added, cov)
-        if part > 0.0 and 1.0 - together > ROUNDING:  # else one has left all, and tells nothing
-            number = min(number, max((1.0 - together) / part, 1.0))
-    numbers = of_variances(x, w, mean, cov), number, lineages
+        together, part, wider = _squares(added, cov)
+        of_variance, number = least_number(of_variance, together, wider), least_number(number, together, part)
+    numbers = alone, of_variance, number, lineages
     return x, w, _lines(ancestor, older, together), log_evidence, mean, cov, *numbers
+
+
+@jit
+def least_number(number, together, part):
+    """A number, or that which lineages tell by squares of weights and of what they add, if less."""
+    known = part > 0.0 and 1.0 - together > ROUNDING  # else one has left all, and tells nothing
+    return min(number, max((1.0 - together) / part, 1.0)) if known else number
 
 
 @jit
@@ -300,15 +307,17 @@ def turned(x):
 
 
 @jit
-def _added(x, w, lineage, mean):
-    """What lineages add to the mean (n,) and to the weight, (n + 1, lineages), and the number of each."""
+def _added(x, w, lineage, mean, cov):
+    """What lineages add to mean, weight and variances, (2 n + 1, lineages), and the number of each."""
     n, N = x.shape
-    out, member, count = np.zeros((n + 1, lineage.max() + 1)), np.empty(N, np.int64), 0
+    out, member, count = np.zeros((2 * n + 1, lineage.max() + 1)), np.empty(N, np.int64), 0
     for i in range(N):
         out[n, lineage[i]] += w[i]
     for a in range(n):
         for i in range(N):
-            out[a, lineage[i]] += w[i] * (x[a, i] - mean[a])
+            off = x[a, i] - mean[a]
+            out[a, lineage[i]] += w[i] * off
+            out[n + 1 + a, lineage[i]] += w[i] * (off * off - cov[a, a])
     for k in range(out.shape[1]):
         if out[n, k] > 0.0:
             member[count] = k
@@ -335,20 +344,26 @@ def _gathered(added, member, older):
 
 @jit
 def _squares(added, cov):
-    """Squares of what lineages add: of their weights, and to the mean, over one point's variances."""
-    (n, N), part = added.shape, 0.0
-    n, L, S = n - 1, np.empty(cov.shape), np.empty((n, n))
+    """Squares of what lineages add: of their weights, to the mean and to the variance that is least sure.
+
+    Those over what one point of a Gaussian adds.
+    """
+    n, N, part, wider = len(cov), added.shape[1], 0.0, 0.0
+    L, S = np.empty(cov.shape), np.empty((n + 1, n + 1))
     for a in range(n + 1):
         for b in range(a + 1):
             S[a, b] = dot(stretch(added, a, 0, N), stretch(added, b, 0, N))
+    for a in range(n):
+        own = stretch(added, n + 1 + a, 0, N)
+        wider = max(wider, dot(own, own) / max(2.0 * cov[a, a] ** 2, TINY))
     if not cholesky(cov, L):
-        return S[n, n], np.nan
+        return S[n, n], np.nan, wider
     W = invert_lower(L)
     for a in range(n):
         for b in range(a + 1):
             for c in range(a + 1):
                 part += W[a, b] * S[max(b, c), min(b, c)] * W[a, c] / n
-    return S[n, n], part
+    return S[n, n], part, wider
 
 
 @jit
