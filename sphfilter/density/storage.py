@@ -25,7 +25,7 @@ from ..errors import ModelError
 from ..model.domain import Domain
 from ..model.dynamics import Dynamics
 from .as_cloud import cloud_density, cloud_of
-from .cloud import matched
+from .cloud import matched, passages_of
 from .defect import Defect
 from .family import Family
 from .memory import Memory
@@ -116,8 +116,7 @@ def _needs_from(known: list[Any]) -> Memory:
 
 def models_of(density: ParticleDensity) -> tuple[Dynamics, ...]:
     """The models of a cloud's predictions since the last reading, which `density_from` needs."""
-    path = None if density.cloud is None else density.cloud.points.path
-    return () if path is None else tuple(p.model for p in path.passages if p.model is not None)
+    return tuple(passage.model for passage in passages_of(density) if passage.model is not None)
 
 
 def _stored_cloud(state: CloudState) -> Arrays:

@@ -14,6 +14,7 @@ from ..config import FilterConfig, LogDensityScheme
 from ..core.cloud.control import WRONG, points_for
 from ..core.limits import EDGE, LARGEST_EXPONENT, LOOK, SAID
 from ..core.step_control import HELPED, TRIES
+from ..density.as_family import may_miss
 from ..density.cloud import moments_of, points_of
 from ..density.memory import MISSED
 from ..density.particle_density import ParticleDensity
@@ -96,10 +97,10 @@ def update_or_predict_again(
         once = prior, posterior, info
         return Outcome(*_on_more_points(prediction, once, measurement, z, config), bound)
     posterior, info = _used_together(prediction, (posterior, info), (measurement, z), config, n_particles)
-    if before is not None and prior.family is not None and not prior.gaussian:
+    if before is not None and may_miss(prior):
         once = prior, posterior, info
         return Outcome(*_without_family(prediction, once, measurement, z, config), bound)
-    known = prior.field is None or prior.gaussian or info.extrapolated < SAID
+    known = prior.gaussian or info.extrapolated < SAID
     if known or prediction.readings or before is None or before.field is None:
         return Outcome(prior, posterior, info, bound)
     from scipy.stats import chi2  # on use: import time

@@ -15,6 +15,7 @@ from ..config import (
     PaperScheme,
     SolverConfig,
 )
+from ..density.cloud import passages_of
 from ..density.memory import Memory
 from ..density.particle_density import ParticleDensity
 from ..density.resample import max_particles_of, on_lattice, target_of
@@ -240,8 +241,7 @@ class Prediction(NamedTuple):
         cls, origin: Any, before: ParticleDensity, lost: float, model: Dynamics, density: ParticleDensity
     ) -> "Prediction":
         """The prediction that led from one density to another, where the first one is of this origin."""
-        path = None if density.cloud is None else density.cloud.points.path
-        goes_on = path is not None and len(path.passages) > 2  # noise, and more than this prediction
+        goes_on = len(passages_of(density)) > 2  # noise, and more than this prediction
         if goes_on and isinstance(origin, Prediction) and origin.before is not None:
             return cls(origin.before, lost, model, density.t, earlier=origin.legs)
         return cls(before, lost, model, density.t)
