@@ -3,10 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
-
-from ._addresses import ADDRESS
-from ._jit import MATRIX, VECTOR
 
 
 class Equations(NamedTuple):
@@ -24,9 +20,3 @@ class Equations(NamedTuple):
     rows: np.ndarray  # numbers of the rows of D that are not zero
     time_dependent: bool
     state_dependent: bool
-
-
-#: Numba's type of `Equations`.
-EQUATIONS = types.NamedTuple(
-    [ADDRESS, ADDRESS, ADDRESS, VECTOR, MATRIX, types.int64[::1], types.boolean, types.boolean], Equations
-)

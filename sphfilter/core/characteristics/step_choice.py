@@ -10,7 +10,7 @@ from .._addresses import Entry
 from .._jit import BATCH_FUNCTION, MATRIX, VECTOR, jit
 from ..field.walls import fold
 from ..limits import LITTLE, ROUNDING, TINY
-from ..small_matrices import cholesky, times_lower
+from ..small_matrices import cholesky, product
 from ..step_control import next_step
 from .control import (
     CONTROL,
@@ -61,7 +61,7 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
     if noise.state_dependent:
         freeze(x, m, t, noise)
     while True:
-        times_lower(L, Q, S)
+        product(L, Q, 1.0, S)
         limit = control.noise_share / max(noise_limit(noise.G, S), TINY)
         if state[LATTICE_STEP] == 0.0:
             state[LATTICE_STEP] = 1.0 / max(noise_limit(noise.G, S), TINY)  # whose noise is as wide as p
@@ -94,7 +94,7 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
     counters[EVALUATIONS] += (16 * parts + 2) * noise.G.shape[1] * x.shape[0]
     if not cholesky(P, own):
         return Choice(NOT_FINITE, h, parts, False, False, twice, mean, S)
-    times_lower(own, Q, S)
+    product(own, Q, 1.0, S)
     blurred = (
         noise.state_dependent or not blur_share(drift, noise, x, f, m, t, h, S) < LITTLE * control.tolerance
     )
