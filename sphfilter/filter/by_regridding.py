@@ -45,7 +45,7 @@ def _kernel_ratio(density: ParticleDensity) -> float:
 
 
 def _verdict(density: ParticleDensity, asked: ReadingAtPrior, settings: AcceptanceTest) -> tuple[bool, str]:
-    """Whether a reading is accepted, and why not, or why that was not tested: of states read directly it is."""
+    """Whether a reading is accepted; and why not, or why it was not tested: states must be read directly."""
     measurement, seen = asked.measurement, asked.seen
     if not settings.enabled:
         return True, "acceptance test off"

@@ -44,7 +44,7 @@ def propagate(
     """
     start, progress, n_regrids = density.t, packed(Progress(density.t, t1)), 0
     n_discarded, share_kept, status = 0, 1.0, ""
-    if density.field is not None:
+    if density.form.smooth:
         density = on_equal_lattice(density, n_particles, scheme)
     # A step is chosen by what it sees at its start: it must not stride over a change in time.
     dt_max = min(model.max_step, math.inf if model.autonomous else (t1 - start) / _TIME_SLICES)
