@@ -16,7 +16,7 @@ from ..core.limits import EDGE, LARGEST_EXPONENT, LOOK, SAID
 from ..core.step_control import HELPED, TRIES
 from ..density.as_family import may_miss
 from ..density.cloud import moments_of, points_of
-from ..density.memory import MISSED
+from ..density.memory import MISSED, Memory
 from ..density.particle_density import ParticleDensity
 from ..density.passage import age_of, stored_key
 from ..density.resample import max_particles_of, target_of
@@ -245,15 +245,19 @@ def _on_more_points(
             best = prior, posterior, info
         if not helped or not grown:  # what is wrong was wrong before, and no points here cure it
             break
+    return best if best is once else _remembering(best, once, known, target)
+
+
+def _remembering(best: Read, once: Read, known: Memory, target: float) -> Read:
+    """The best of several tries, whose next cloud has as many points as before, or more if these helped."""
     prior, posterior, info = best
     cloud, needs = posterior.cloud, posterior.needs
-    if best is not once and cloud is not None and needs is not None:
-        usual = known
-        if _deciding(posterior, info, target) < HELPED * _deciding(*once[1:], target):
-            told = cloud.told.decisive(target, prior.dim)
-            usual = known._replace(calm=max(known.calm, 0)).told(told, target, cloud.size)
-        posterior = posterior.noted(needs=needs._replace(points=usual.cloud(target), calm=usual.calm))
-    return prior, posterior, info
+    if cloud is None or needs is None:
+        return best
+    if _deciding(posterior, info, target) < HELPED * _deciding(*once[1:], target):
+        told = cloud.told.decisive(target, prior.dim)
+        known = known._replace(calm=max(known.calm, 0)).told(told, target, cloud.size)
+    return prior, posterior.noted(needs=needs._replace(points=known.cloud(target), calm=known.calm)), info
 
 
 def _added(

@@ -70,12 +70,9 @@ def update_or_predict_modes_again(
         off = float(modes.w @ modes.splitting)
     if off <= target and not far:
         return prior, modes, info
-    t, in_doubt, told = prior.heaviest.t, 0.0, []
+    t, in_doubt = prior.heaviest.t, 0.0
     more = off > target and prediction.n_substeps < MOST_SUBSTEPS
-    if more:
-        told.append((Code.REPEATED, _REPEATED))
-    if far:
-        told.append((Code.REPEATED, _APART))
+    told = [(Code.REPEATED, what) for what, is_so in ((_REPEATED, more), (_APART, far)) if is_so]
     finer = MORE * min(off / target, _FINEST) if more else 1.0
     apart = far or 1.0
     for _ in range(TRIES if far else int(more)):
