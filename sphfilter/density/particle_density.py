@@ -236,7 +236,7 @@ class ParticleDensity(Noted):
 
     @cached_property
     def form(self) -> Shape:
-        """The shape that answers questions, `Folded` in a domain."""
+        """The shape that answers questions: `Kernels`, `Cloud` or `Polynomials`, `Folded` in a domain."""
         return self._shape(self.read_out)
 
     def _shape(self, kind: ReadOut) -> Shape:
