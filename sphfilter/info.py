@@ -18,7 +18,7 @@ from .core.limits import EDGE
 #: The reason of an update without a reading, which is none to worry about.
 NOTHING_CAME = "no measurement came"
 #: Estimated error of a mean, in standard deviations, that is said in words: errors lie within three times
-#: what is estimated, and a fifth of a standard deviation is wrong.
+#: what is estimated, and a fifth of a standard deviation is wrong: 3 DOUBTFUL = .2.
 DOUBTFUL = 0.2 / 3.0
 
 

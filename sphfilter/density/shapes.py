@@ -26,7 +26,7 @@ from ..model.domain import Domain
 from . import marginal, mixture
 from .quasi_random import quasi_random, spread_evenly, systematic
 
-LATTICE_SUPPORT = 1.2  # smoothing length on a lattice, in units of its spacing
+LATTICE_SUPPORT = 1.2  # smoothing length on a lattice over its spacing: the coupling eta = h / dx of 000
 _CANDIDATES = 8  # states in cells over points drawn; measured: half, twice change errors by .9, .7 times
 _CELL_POINTS = 2**17  # in all cells, up to 128 in each and at least 16: 8 n bytes each = n MB
 #: Mean (n,) and covariance (n, n).

@@ -39,26 +39,26 @@ from .quasi_random import weighted_points
 Arrays: TypeAlias = dict[str, NDArray[Any]]
 FORMAT = 1
 _FORMULAS: dict[str, Any] = {"family": Family, "pieces": Pieces}
+_FIELD = "mu", "A", "node", "kept", "log_p"  # what a field is built from
+#: What a density is kept in besides its particles, and the arrays that make it again.
+_KEPT = {"field": _FIELD, **{name: kind._fields for name, kind in _FORMULAS.items()}}
 _ARRAYS = "x", "mass", "h", "log_density", "invariant"
 _OF_FAMILIES = 2**12  # points of a sum of families: random ones would have a mean within 1 / √2^12 = .016
-_FIELD = "mu", "A", "node", "kept", "log_p"  # what a field is built from
 
 
 def stored(density: ParticleDensity) -> Arrays:
     """A density as arrays by name; `density_from` makes the same density of them, to the last bit."""
     arrays = {name: getattr(density, name) for name in _ARRAYS if getattr(density, name) is not None}
-    if density.field is not None:
-        arrays |= {f"field.{name}": getattr(density.field, name) for name in _FIELD}
+    for kept, names in _KEPT.items():
+        if (own := getattr(density, kept)) is not None:
+            arrays |= under(kept, {name: getattr(own, name) for name in names})
     if density.moments is not None:
         arrays |= {"moments.mean": density.moments[0], "moments.cov": density.moments[1]}
-    for name in _FORMULAS:
-        if (own := getattr(density, name)) is not None:
-            arrays |= under(name, own._asdict())
     if density.defect is not None:
         arrays["defect"] = density.defect.packed
     if density.cloud is not None:
         arrays = _stored_cloud(density.cloud)
-    special = {*_ARRAYS, *_FORMULAS, "field", "moments", "domain", "defect", "cloud"}
+    special = {*_ARRAYS, *_KEPT, "moments", "domain", "defect", "cloud"}
     about: dict[str, Any] = {
         f.name: getattr(density, f.name) for f in fields(density) if f.init and f.name not in special
     }

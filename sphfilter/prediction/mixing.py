@@ -44,7 +44,7 @@ from .again import MOST
 from .ladder import first_degree, prefers_cloud
 
 _AWAY = 3.0  # standard deviations at which what is lost may lie: 2 Φ(-3) = .003 of a Gaussian lies beyond
-_CHANGE = 1.0 / OF_CHANGE  # times the aim, that mergers may change log p by: as much as makes all of it
+_CHANGE = 1.0 / OF_CHANGE  # times the aim, that mergers may change log p by: OF_CHANGE _CHANGE = 1
 _MOMENTS = ParticleDensity.mean, ParticleDensity.cov
 _MOST_PIECES, _COARSER = 200, 5  # of a sum, and times that it may change more until it has no more
 _TRIES, _FINER = 6, 2  # lattices, and times the nodes of the one before
