@@ -302,11 +302,11 @@ class Folded(Shape):
 
     @property
     def smooth(self) -> bool:
-        return bool(self.shape.smooth)
+        return self.shape.smooth
 
     @property
     def cell(self) -> Floats | None:
-        return self.bare.cell
+        return self.shape.cell
 
     @property
     def _ends(self) -> bool:
