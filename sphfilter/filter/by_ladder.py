@@ -89,9 +89,9 @@ def _on_cloud(
     density: ParticleDensity, asked: ReadingAtPrior, target: float, config: FilterConfig, needs: Memory
 ) -> Posterior:
     """The posterior as a cloud; of how many points the next one has, what its points told tells."""
-    new, said = by_cloud(density, asked, 0, config, n_points=needs.cloud(target))
+    new, said = by_cloud(density, asked, 0, config, n_points=needs.cloud(target, density.dim))
     cloud: Any = new.cloud
-    needs = needs.told(cloud.told.decisive(target, new.dim), target, cloud.size)
+    needs = needs.told(cloud.told.decisive(target, new.dim), target, cloud.size, new.dim)
     return new.noted(needs=needs), _flagged_if_missed(said, target)
 
 

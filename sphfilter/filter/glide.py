@@ -135,7 +135,7 @@ class _Run:
         density, needs, model = filt.density, filt.density.needs or Memory(), filt.model
         self._sensor, self._model = filt.measurement, model
         self._target = target = _target_of(filt)
-        self.reached = _Reached(as_points(density, needs.cloud(target)), needs, [], filt.t)
+        self.reached = _Reached(as_points(density, needs.cloud(target, density.dim)), needs, [], filt.t)
         self.before = self.reached  # one reading earlier
         self._steady = model.autonomous or model.linear or not isinstance(model, SDE)
         self._known: Stacked | None = None
@@ -174,7 +174,7 @@ class _Run:
     def _at_once(self, times: Floats, Z: Floats) -> tuple[bool, bool]:
         """Put readings through by one call of compiled code; is the next unusual, or the filter's?"""
         (state, needs, *_), model, target = self.reached, self._model, self._target
-        count = needs.cloud(target)
+        count = needs.cloud(target, model.dim)
         K = min(len(Z), max(_POINTS // count, 1)) if self._steady else 1
         times, Z = times[: K + 1], Z[:K]
         spans = zip(times[:-1].tolist(), times[1:].tolist(), strict=True)
@@ -213,7 +213,7 @@ class _Run:
         (state, needs, *_), target, model, sensor = self.reached, self._target, self._model, self._sensor
         stacked, (t0, t1) = self._stacked(z, span[1]), span
         try:
-            scheme = CloudScheme(n_points=needs.gone_on().cloud(target))
+            scheme = CloudScheme(n_points=needs.gone_on().cloud(target, model.dim))
             moved = carried_cloud(state, model, (t0, t1), scheme, target)
         except PropagationError:
             return False
@@ -231,7 +231,7 @@ class _Run:
             added = error_added(state, done.state, [(model, t1)], t0, stacked, done.moments, target)
             if not added <= MISSED * target:
                 return False
-        needs = needs._replace(legs=0, age=done.state.age).told(told, target, done.state.size)
+        needs = needs._replace(legs=0, age=done.state.age).told(told, target, done.state.size, model.dim)
         said = done.log_evidence, done.evidence_error, done.error, done.variance_error
         row = _row(*moved.moments, *done.moments, *said, y, S, flagged)
         self.before, self.reached = self.reached, self.reached.and_on(done.state, needs, [row], span[1])

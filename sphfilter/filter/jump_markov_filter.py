@@ -285,7 +285,7 @@ class JumpMarkovFilter(DensityFilter[ModeDensities, JumpMarkovModel, _Sensors]):
             return state
         asked = points_of_modes(state.density, target)
         if state.n_particles:  # the step before had fewer than it asked for
-            asked = max(asked, Memory().cloud(target))
+            asked = max(asked, Memory().cloud(target, state.density.heaviest.dim))
         most = self._budget.bound(asked, int(usual_points(DOUBTFUL)))
         if most == asked:
             return state.noted(n_particles=0)

@@ -235,7 +235,7 @@ class SPHFilter(DensityFilter[ParticleDensity, Dynamics, Sensor | None]):
             if self._adapts:
                 options |= {"n_particles": "auto", "time": Time(most, self._budget.fits)}
             begun, needs = density, density.needs
-            if needs is not None and needs.cloud(config.target_error) > points:
+            if needs is not None and needs.cloud(config.target_error, density.dim) > points:
                 begun = density.noted(needs=needs.cut(points))
             moved, info = predict(begun, model, by, config, goes_on=False, **options)
             return Outcome(

@@ -226,7 +226,7 @@ def _on_more_points(
         error = _deciding(posterior, info, target, 0.0 if led else cloud.inherited)
         if error > MISSED * target:
             error = _added(prediction, prior, posterior, error, target)
-        more = points_for(cloud.size, error, target) if error > MISSED * target else 0
+        more = points_for(cloud.size, error, target, prior.dim) if error > MISSED * target else 0
         if more <= cloud.size and (tries > 0 or led):
             break
         wanted = known._replace(points=more or known.points, waits=max(known.waits, 1))
@@ -256,8 +256,9 @@ def _remembering(best: Read, once: Read, known: Memory, target: float) -> Read:
         return best
     if _deciding(posterior, info, target) < HELPED * _deciding(*once[1:], target):
         told = cloud.told.decisive(target, prior.dim)
-        known = known._replace(calm=max(known.calm, 0)).told(told, target, cloud.size)
-    return prior, posterior.noted(needs=needs._replace(points=known.cloud(target), calm=known.calm)), info
+        known = known._replace(calm=max(known.calm, 0)).told(told, target, cloud.size, prior.dim)
+    points = known.cloud(target, prior.dim)
+    return prior, posterior.noted(needs=needs._replace(points=points, calm=known.calm)), info
 
 
 def _added(

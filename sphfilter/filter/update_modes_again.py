@@ -123,7 +123,7 @@ def _on_more_points(
     for _ in range(TRIES):
         prior, modes, info = read
         points = points_of_modes(prior, target)
-        more = points_for(points, modes.error, target)
+        more = points_for(points, modes.error, target, prior.heaviest.dim)
         if not modes.error > least or more <= points or not fits(more / points):
             break
         other = again(more)

@@ -20,7 +20,7 @@ from ..config import CloudScheme
 from ..core.cloud.control import SHADOW
 from ..core.cloud.move import affine, move
 from ..core.cloud.noise import LANES
-from ..core.cloud.way import LINES
+from ..core.cloud.weights import LINES
 from ..core.limits import GOLDEN, TINY
 from ..density.as_cloud import cloud_of
 from ..density.modes import ModeDensities

@@ -16,7 +16,7 @@ from ..core.family.rules import degrees
 from ..core.limits import LITTLE
 from ..density.as_family import as_polynomials, family_density, moments_on_line
 from ..density.family import gaussian_family
-from ..density.memory import Memory, doubtful_from, error_budget, min_nodes, tolerated_excess
+from ..density.memory import Memory, doubtful_from, error_budget, min_nodes, tolerated_excess, usual_points
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError, UnresolvedError
@@ -31,10 +31,10 @@ from .to_target import Time, carried_to_target
 
 Found = TypeVar("Found")
 
-#: Points of a cloud that take as long as one family, by states: fewer take .1 to .9 times as long as families
-#: first. In four states 256 take .3 to .6 times as long; cart and sharp range are off by as much, tracking
-#: and bearings by 2 to 4.5 times that: families first. (Of `experiments benchmark`.)
-_AS_FAMILIES = {1: 2**10, 2: 2**10, 3: 2**10, 4: 0}
+#: Points that a target asks for, up to which a cloud comes before one family, by states: it takes .1 to .9
+#: times as long. Error² times time in four states, over that of families first: cart, sharp range, bearings,
+#: tracking .13, .13, .6, 1.4 asked .1, and .4, .5, 2.3, 1.5 asked .03 (`experiments benchmark`).
+_AS_FAMILIES = {1: 2**9, 2: 2**9, 3: 2**9, 4: 2**8}
 #: As long as a lattice that makes the same error, by states: of one it pays sooner, and knows its tails; of
 #: three and more never. And as families of five and six, of thousands of nodes. (Of the same command.)
 _AS_LATTICES = {1: 2**11, 2: 2**13}
@@ -56,12 +56,12 @@ def first_degree(dim: int, needs: Memory) -> int:
 
 def prefers_cloud(dim: int, needs: Memory, target: float) -> bool:
     """Whether a cloud comes after one family, and not a lattice."""
-    return dim > LATTICE or (not needs.smooth and needs.cloud(target) <= _AS_LATTICES[dim])
+    return dim > LATTICE or (not needs.smooth and needs.cloud(target, dim) <= _AS_LATTICES[dim])
 
 
 def becomes_cloud(dim: int, needs: Memory, target: float) -> bool:
     """Whether a cloud costs less than one family, and is all that is asked for."""
-    return not needs.smooth and needs.cloud(target) < _AS_FAMILIES.get(dim, _AS_LATTICES[2])
+    return not needs.smooth and (needs.points or usual_points(target)) <= _AS_FAMILIES.get(dim, 2**12)
 
 
 def best_family(
@@ -203,7 +203,7 @@ def _by_cloud(
     density: ParticleDensity, model: Dynamics, t1: float, target: float, needs: Memory
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry as many points as the target asks for."""
-    points = needs.cloud(target)
+    points = needs.cloud(target, density.dim)
     moved, info = cloud.propagate(density, model, t1, CloudScheme(n_points=points), target=target)
     return moved.noted(needs=needs), as_asked(info, target)
 
@@ -216,7 +216,7 @@ def _by_sums(
     def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
         return chapman_kolmogorov.propagate(density, model, t1, nodes)
 
-    by_cloud = needs.cloud(target) <= chapman_kolmogorov.AS_SUMS.get(model.dim, MOST_POINTS)
+    by_cloud = needs.cloud(target, model.dim) <= chapman_kolmogorov.AS_SUMS.get(model.dim, MOST_POINTS)
     if by_cloud or chapman_kolmogorov.why_not(model):
         return _by_cloud(density, model, t1, target, needs)
     try:
@@ -232,7 +232,7 @@ def _by_lattice(
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry log p on as many nodes as the target asks for."""
     allowed = time.for_lattices(density, target)
-    bound = MOST_WORK if needs.smooth else _WORK * needs.cloud(target)
+    bound = MOST_WORK if needs.smooth else _WORK * needs.cloud(target, density.dim)
     work = bound if allowed else math.inf
 
     def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:

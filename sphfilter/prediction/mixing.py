@@ -282,7 +282,7 @@ def _nodes(parts: Sequence[Part]) -> list[tuple[Floats, Floats]]:
 
 def _as_cloud(parts: Sequence[Part], about: ParticleDensity, target: float) -> ParticleDensity:
     """The points of all; of what is no cloud, as many as its share says."""
-    count = min((about.needs or Memory()).cloud(target), MOST_POINTS)
+    count = min((about.needs or Memory()).cloud(target, about.dim), MOST_POINTS)
     x, mass = [], []
     for k, part in enumerate(parts):
         density, w = part.density, math.exp(part.log_w)

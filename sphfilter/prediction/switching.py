@@ -127,8 +127,8 @@ def _points(modes: ModeDensities, model: JumpMarkovModel, config: FilterConfig, 
 
 def points_of_modes(modes: ModeDensities, target: float) -> int:
     """Points of a cloud for each mode that a target asks for, by the modes' shares in its error."""
-    needs = [(math.exp(log_w), density.needs or Memory()) for _, log_w, density in modes.some]
-    return int(power_of_two(sum(w * own.cloud(target) for w, own in needs)))
+    needs = [(log_w, density.needs or Memory(), density.dim) for _, log_w, density in modes.some]
+    return int(power_of_two(sum(math.exp(log_w) * own.cloud(target, dim) for log_w, own, dim in needs)))
 
 
 def goes_as_points(modes: ModeDensities) -> bool:

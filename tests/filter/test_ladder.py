@@ -56,7 +56,8 @@ def test_a_gaussian_through_a_linear_model_is_kalmans():
         ("pendulum", 0.01, {}, "family"),
         ("duffing", 0.1, {"density_error": 0.05}, "family"),
         ("falling_body", 0.03, {}, "cloud"),
-        ("cart", 0.1, {}, "family"),
+        ("cart", 0.1, {}, "cloud"),
+        ("cart", 0.03, {}, "family"),
     ],
 )
 def test_where_little_is_asked_a_gaussian_becomes_points(scene, target, options, rung):
@@ -277,19 +278,19 @@ def test_waits_double_and_an_allowance_is_never_nothing():
     assert waits == [0, 1, 3, 7, 15, 15, 15]
     assert needs.followed(4).waits == 0 and needs.followed(4).failed == 0
     assert error_budget(0.0, 0.01) == 0.01 and error_budget(0.5, 0.01) == 0.005
-    assert Memory().cloud(1e-9) == MOST_POINTS and Memory(points=512).cloud(1e-9) == 512
+    assert Memory().cloud(1e-9, 1) == MOST_POINTS and Memory(points=512).cloud(1e-9, 1) == 512
     shares = [Memory(legs=k).shared for k in range(1, 2000)]
     assert shares[0] == 1.0 and sum(shares) < 2.62
 
 
 def test_points_grow_at_once_and_shrink_after_readings_that_ask_for_fewer():
     needs = Memory(points=1024)
-    assert needs.told(0.009, 0.01, 1024).points == 1024
-    assert needs.told(0.011, 0.01, 1024).points == 2048
-    assert needs.told(0.03, 0.01, 1024).points == 2048 == needs.told(9.0, 0.01, 1024).points
-    assert Memory(points=MOST_POINTS).told(9.0, 0.01, MOST_POINTS).points == MOST_POINTS
-    assert Memory(points=8192).told(0.009, 0.01, 1024).points == 8192  # once may be chance
-    assert Memory(points=8192, calm=1).told(0.009, 0.01, 1024).points == 1024
+    assert needs.told(0.009, 0.01, 1024, 2).points == 1024
+    assert needs.told(0.011, 0.01, 1024, 2).points == 2048
+    assert needs.told(0.03, 0.01, 1024, 2).points == 2048 == needs.told(9.0, 0.01, 1024, 2).points
+    assert Memory(points=MOST_POINTS).told(9.0, 0.01, MOST_POINTS, 2).points == MOST_POINTS
+    assert Memory(points=8192).told(0.009, 0.01, 1024, 2).points == 8192  # once may be chance
+    assert Memory(points=8192, calm=1).told(0.009, 0.01, 1024, 2).points == 1024
 
 
 @pytest.mark.parametrize("parts", [1, 4])

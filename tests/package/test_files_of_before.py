@@ -242,7 +242,7 @@ def test_needs_of_seven_numbers():
     arrays["about"] = np.array(json.dumps(about))
     needs = density_from(arrays).needs
     assert needs == Memory(4, 1, 2, 90, 512)
-    assert needs.told(1e-3, 1e-2, 512).calm == 1
+    assert needs.told(1e-3, 1e-2, 512, 1).calm == 1
 
 
 def test_a_cloud_that_a_reading_began_without_a_size():

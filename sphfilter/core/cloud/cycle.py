@@ -157,7 +157,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         ahead, doubt = both(ahead, bias.mean), error_by(squares[1])
         flagged[j] = is_flagged(ahead, error[j], doubt, bounds.unresolved, bounds.flagged)
         told = decisive(error_by(squares[0]), error_by(squares[1]), bounds.target, n)
-        wanted = points_for(count, told, bounds.target)
+        wanted = points_for(count, told, bounds.target, n)
         points, calm = next_points(count, wanted, s.calm)
         (a, b, c), (d, e, f) = one.found[:3], two.found[:3]
         stiff = own.flow == stiff_flow

@@ -13,6 +13,9 @@ from ..sums import dot, summed
 from .blocks import about, squares
 from .noise import LANES
 
+#: Rows of lineages: those of one reading and of more, and in the last those that go back farthest. Measured:
+#: of 507 errors of means 28 were told to a third at most with one, 20, 16, 14, 13 with two, three, six, 8.
+LINES = 6
 AWAY = 1.0 / ROUNDING  # extents, from which a point has run away: AWAY² = 1 / eps leaves others no digit
 
 
@@ -206,7 +209,7 @@ def carriers(x, log_w, ancestor, older):
         log_w[i] = log_w[i] if fine[i] else -np.inf
     log_evidence = normalise(log_w, w)
     if not abs(log_evidence) < np.inf:
-        return x, w, _lines(ancestor, older), -np.inf, mean, cov, 0.0, 0.0, 0.0
+        return x, w, _lines(ancestor, older, 0.0), -np.inf, mean, cov, 0.0, 0.0, 0.0
     heavy = np.flatnonzero(w > 0.0)
     if heavy.size < N:
         x, w, ancestor = taken(x, heavy), w[heavy], ancestor[heavy]
@@ -218,13 +221,14 @@ def carriers(x, log_w, ancestor, older):
     if part > 0.0:
         # few lineages may agree by chance, and one agrees with itself: a variance seen L - 1 times
         number = max(lineages, min(effective(w), (1.0 - squares) / part, lineages * lineages))
+    together = squares
     for own in older:
         added, member = _gathered(added, member, own)
         together, part = _squares(added, cov)
         if part > 0.0 and 1.0 - together > ROUNDING:  # else one has left all, and tells nothing
             number = min(number, max((1.0 - together) / part, 1.0))
     numbers = of_variances(x, w, mean, cov), number, lineages
-    return x, w, _lines(ancestor, older), log_evidence, mean, cov, *numbers
+    return x, w, _lines(ancestor, older, together), log_evidence, mean, cov, *numbers
 
 
 @jit
@@ -246,9 +250,18 @@ def of_variances(x, w, mean, cov):
 
 
 @jit
-def _lines(ancestor, older):
-    """Ancestors (1 + readings, N) of points, from those (N,) of the last reading and theirs."""
-    return np.concatenate((ancestor.copy().reshape(1, -1), taken(older, ancestor)))
+def _lines(ancestor, older, together):
+    """Ancestors (rows, N) of points, from those (N,) of the last reading and theirs, of `LINES` rows at most.
+
+    The last row goes back as far as it tells lineages apart: as long as none of them has most of the weight,
+    by the sum of their squares, it stays and the one before it goes.
+    """
+    kept = older
+    if len(older) == LINES:
+        kept = older[:-1].copy()
+        if together < 0.5:
+            kept[-1] = older[-1]
+    return np.concatenate((ancestor.copy().reshape(1, -1), taken(kept, ancestor)))
 
 
 @jit
