@@ -5,8 +5,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["in_a_line"]
-
 _SHOWN = 9  # numbers of an array that stand on a line
 
 

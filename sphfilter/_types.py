@@ -7,9 +7,6 @@ from typing import Any, Literal, Self, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["BatchFunction", "Bools", "Floats", "Interval", "Ints", "Noted", "OfStates", "ReadOut",
-           "Readings", "Reported", "Rows", "Seed"]  # fmt: skip
-
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
 Bools: TypeAlias = NDArray[np.bool_]

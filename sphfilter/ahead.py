@@ -13,8 +13,6 @@ from .model.measurements import GaussianMeasurement
 from .model.sde import SDE
 from .model.simulate import simulate
 
-__all__ = ["compile"]
-
 _SCHEMES: tuple[Any, ...] = "auto", CloudScheme(), LogDensityScheme(), FamilyScheme()
 
 

@@ -15,18 +15,6 @@ from pydantic import BeforeValidator, Field, model_validator
 from .errors import ConfigError, nearest
 from .settings import Count, Positive, from_table, settings
 
-__all__ = [
-    "AcceptanceTest",
-    "CloudScheme",
-    "FamilyScheme",
-    "FilterConfig",
-    "LogDensityScheme",
-    "PaperScheme",
-    "Scheme",
-    "SolverConfig",
-    "checked_filter_config",
-]
-
 _LOGGER = logging.getLogger("sphfilter")
 
 #: M_B for n = 2, 3, 4 (002 section 4.5). For n = 1 two layers of a lattice; n = 5, 6 continue the growth.

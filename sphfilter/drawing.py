@@ -9,8 +9,6 @@ import numpy as np
 from ._types import Floats
 from .errors import ModelError, nearest
 
-__all__ = ["chosen", "density", "fit", "forecast", "posterior", "result", "save"]
-
 _COLOUR, _OTHER = "#009E73", "#D55E00"  # Okabe & Ito's, that the colour-blind tell apart
 
 

@@ -5,20 +5,6 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Any
 
-__all__ = [
-    "CampaignError",
-    "ConfigError",
-    "EstimationError",
-    "ExpressionError",
-    "MissingNameError",
-    "ModelError",
-    "PropagationError",
-    "SphfilterError",
-    "UnresolvedError",
-    "nearest",
-    "plain",
-]
-
 
 class SphfilterError(Exception):
     """Base of every error this package raises on purpose.

@@ -15,22 +15,10 @@ from ._lines import in_a_line
 from ._types import Bools, Floats, Noted
 from .core.limits import EDGE
 
-__all__ = [
-    "DOUBTFUL",
-    "NOTHING_CAME",
-    "Code",
-    "PredictInfo",
-    "ResampleInfo",
-    "UpdateInfo",
-    "innovation_of",
-    "may_be_off",
-]
-
-
 #: The reason of an update without a reading, which is none to worry about.
 NOTHING_CAME = "no measurement came"
 #: Estimated error of a mean, in standard deviations, that is said in words: errors lie within three times
-#: what is estimated, and a fifth of a standard deviation is wrong.
+#: what is estimated, and a fifth of a standard deviation is wrong: 3 DOUBTFUL = .2.
 DOUBTFUL = 0.2 / 3.0
 
 

@@ -10,8 +10,6 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 
 from .errors import ConfigError, nearest
 
-__all__ = ["from_table", "settings"]
-
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
 _UNKNOWN = ("unexpected_keyword_argument", "extra_forbidden")

@@ -15,9 +15,6 @@ from numpy.typing import ArrayLike
 from ._types import Floats, Seed
 from .errors import ModelError, nearest
 
-__all__ = ["array", "choice", "column", "count", "covariance", "generator", "keywords", "onwards", "positive",
-           "real", "row", "seconds", "short", "square", "state_rows", "times", "unmasked"]  # fmt: skip
-
 Word = TypeVar("Word")
 Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
@@ -170,6 +167,16 @@ def onwards(times: Floats, start: float) -> Floats:
             out[i] = before
         before = out[i]
     return out
+
+
+def end_of(start: float, dt: Any, t: float | None) -> float:
+    """Return the time at which a prediction from `start` ends: after dt seconds, or at time t."""
+    if (dt is None) == (t is None):
+        raise ModelError("predict takes either dt or t=, one of them")
+    end = start + seconds("dt", dt) if t is None else onwards(np.array([real("t", t)]), start).item()
+    if end < start:
+        raise ModelError(f"cannot predict back in time: from t = {start:g} to {end:g}")
+    return end
 
 
 def unmasked(z: Any) -> Any:

@@ -18,9 +18,6 @@ from .campaign import CampaignResult
 from .figures import FilterReport, filter_report
 from .verdict import unseen, verdict
 
-__all__ = ["FilterReport", "Report", "report"]
-
-
 _HISTORIES = tuple(f.name for f in fields(FilterResult) if f.name != "t")
 #: Heading of each row, field, and what it has one of for each.
 _ROWS = (

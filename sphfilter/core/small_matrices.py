@@ -78,17 +78,6 @@ def invert_lower(A):
 
 
 @jit
-def times_lower(L, Q, out):
-    """out = L Q."""
-    n = L.shape[0]
-    for a in range(n):
-        for b in range(n):
-            out[a, b] = 0.0
-            for k in range(n):
-                out[a, b] += L[a, k] * Q[k, b]
-
-
-@jit
 def eigen(h, w, V):
     """Eigenvalues and vectors (columns) of a small symmetric matrix, by Jacobi's rotations; h is used up."""
     n = h.shape[0]

@@ -1,6 +1,7 @@
 """Densities as one exponential family, and back on lattices."""
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from .family import OF_MISFIT, Family, fitted, gaussian_family, moments_apart, n
 from .left_out import LeftOut
 from .max_entropy import max_entropy
 from .particle_density import ParticleDensity
-from .pieces import Pieces, particles_of_pieces
+from .pieces import Pieces, particles_of_pieces, pieces_of
 from .resample import logarithm
 
 
@@ -39,20 +40,35 @@ def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
 
 def defect_in(density: ParticleDensity, family: Family, misfit: float = 0.0) -> Defect:
     """The defect of the family, of a misfit, that stands for a density: see `family_of`."""
-    if density.family is not None and density.defect is not None:
-        if density.family is family:
-            return density.defect
-        old, defect = density.family, density.defect
-        return defect_of(family, lambda X: old.log_p(X) + defect.at(old, X), defect)
+    defect = density.defect
+    if defect is not None:
+        old: Any = density.family
+        return defect if old is family else defect_of(family, partial(_log_p_with, old, defect), defect)
     known = Defect.none(family, math.hypot(density.error, OF_MISFIT * misfit))
     if density.field is None or density.gaussian:
         return known
     return defect_of(family, logarithm(density), known)
 
 
+def _log_p_with(family: Family, defect: Defect, X: Floats) -> Floats:
+    """Logarithm (M,) of a family's density with its defect at states X (M, n)."""
+    return family.log_p(X) + defect.at(family, X)
+
+
 def moments_on_line(density: ParticleDensity) -> tuple[Floats, Floats]:
     """Mean (n,) and covariance (n, n) on the line: of a periodic axis it is not turned back."""
     return density.moments or (density.mass @ density.x, density.cov())
+
+
+def gaussians_of(density: ParticleDensity) -> Pieces | None:
+    """Gaussians that a density is known to be the sum of, one or more; None of others, or in a domain."""
+    one = density.family is not None and density.gaussian and density.domain is None
+    return pieces_of(*moments_on_line(density)) if one else density.pieces
+
+
+def may_miss(density: ParticleDensity) -> bool:
+    """Whether a density is one family whose polynomial may miss something of log p: that is its defect."""
+    return density.family is not None and not density.gaussian
 
 
 def as_polynomials(density: ParticleDensity, degree: int, most: float) -> ParticleDensity | None:

@@ -15,7 +15,7 @@ from ..core.sph.kernels import Kernel
 from ..model.domain import Domain
 from . import mixture
 from .local_kernels import local_kernels
-from .points import moments
+from .points import Passage, moments
 from .quasi_random import systematic, weighted_points
 from .shapes import Kernels
 
@@ -96,6 +96,12 @@ def moments_of(density: "ParticleDensity") -> tuple[Floats, Floats]:
     """Mean (n,) and covariance (n, n) of a density's points as they lie; of a cloud they are summed once."""
     shape = density.form.bare
     return shape.summed if isinstance(shape, Cloud) else moments(density.x, density.mass)
+
+
+def passages_of(density: "ParticleDensity") -> tuple[Passage, ...]:
+    """What has moved a cloud's points since the last reading; nothing that is known, of other densities."""
+    path = None if density.cloud is None else density.cloud.points.path
+    return () if path is None else path.passages
 
 
 def smoothing_length(mass: Floats, cov: Floats) -> Floats:

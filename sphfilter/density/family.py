@@ -15,7 +15,7 @@ from ..core.limits import LOG_2_PI
 from ..lattice.level_set import LatticeDensity, fewest_particles, lattice_reach, lay
 from ..model.domain import Domain
 from .quasi_random import weighted_points
-from .shapes import Folded, Moments, Polynomials, Shape
+from .shapes import Moments, Polynomials, Shape
 
 ASTRAY = 0.3  # of the moments in a frame, from which a family does not hold a density
 #: Part of a polynomial's misfit that errors are estimated by. Measured: with half and twice, a model that
@@ -69,14 +69,9 @@ class Family(NamedTuple):
         """How far the moments are from those of the frame at most, as where the polynomial rises far out."""
         return moved(*node_moments(self.basis.xi, self.weighted()[0]))
 
-    @property
-    def middles(self) -> None:
-        """One family has none of its own, other than its mean."""
-
-    def shape(self, moments: Moments, domain: Domain | None) -> Shape:
-        """The shape of a density of these moments; in a domain it lies on a lattice."""
-        whole = Exponential(self, moments)
-        return whole if domain is None else Folded(whole.laid, domain)
+    def shape(self, moments: Any) -> Shape:
+        """The shape of a density of these moments."""
+        return Exponential(self, moments)
 
     def normalised(self) -> "Family":
         """The family with an integral of one."""
@@ -173,20 +168,20 @@ def particles_of(family: Family) -> dict[str, Any]:
     }
 
 
-def family_on_lattice(
-    log_p: OfStates, moments: Any, n_particles: int, middles: Floats | None = None
-) -> LatticeDensity:
-    """A density of given moments on a lattice of at most so many nodes, from its `middles` (K, n) or mean."""
+def laid_by(log_p: OfStates, moments: Any, n_particles: int, middles: Floats) -> LatticeDensity:
+    """A density of given moments on a lattice of at most so many nodes, from its `middles` (K, n)."""
     mean, cov = moments
     n_particles = max(n_particles, fewest_particles(len(mean)))
     depth = 0.5 * lattice_reach(None, len(mean)) ** 2
-    middles = mean[None] if middles is None else middles
     return lay(log_p, mean, np.linalg.cholesky(cov), middles, n_particles, depth)
 
 
 @dataclass(frozen=True, eq=False)
 class Exponential(Shape):
-    """One exponential family: density and moments by polynomials, all else on a lattice laid."""
+    """One exponential family: density and moments by polynomials, all else on a lattice laid.
+
+    In a domain all is asked of the lattice.
+    """
 
     family: Family
     moments: Moments
@@ -194,9 +189,23 @@ class Exponential(Shape):
     @cached_property
     def laid(self) -> Polynomials:
         """The family's density on a lattice."""
-        count = _NODES.get(len(self.family.mu), _MOST_NODES)
-        laid = family_on_lattice(self.family.log_p, self.moments, count)
+        laid = self.on_lattice(_NODES.get(len(self.family.mu), _MOST_NODES))
         return Polynomials(laid.field, laid.x, laid.mass, self.moments)
+
+    @property
+    def x(self) -> Floats:
+        return self.laid.x
+
+    @property
+    def mass(self) -> Floats:
+        return self.laid.mass
+
+    def around(self, domain: Domain) -> Polynomials:
+        """The polynomials of the lattice between the walls of a domain."""
+        return self.laid.around(domain)
+
+    def on_lattice(self, n_particles: int) -> LatticeDensity:
+        return laid_by(self.family.log_p, self.moments, n_particles, self.moments[0][None])
 
     def logpdf(self, X: Floats) -> Floats:
         return self.family.log_p(X)
@@ -214,7 +223,7 @@ class Exponential(Shape):
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
         """States in every cell of the lattice; of many states points spread evenly, with weights."""
-        if len(self.family.mu) <= _ON_LATTICE:
+        if len(self.moments[0]) <= _ON_LATTICE:
             return self.laid.states(count, smooth)
         return weighted_points(self.logpdf, self.moments, _POINTS, 0)
 

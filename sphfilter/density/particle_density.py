@@ -1,6 +1,6 @@
 """The probability density a filter carries: particles with mass and smoothing length, and what to ask it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, overload
@@ -245,11 +245,11 @@ class ParticleDensity(Noted):
 
     def _shape(self, kind: ReadOut) -> Shape:
         """The shape that is read as `kind`."""
-        shape: Kernels | Polynomials
+        shape: Any
         formula: Any = {"family": self.family, "pieces": self.pieces}.get(kind)
         if formula is not None:
-            return formula.shape(self.moments, self.domain)
-        if kind == "log_density" and self.field is not None:
+            shape = formula.shape(self.moments)
+        elif kind == "log_density" and self.field is not None:
             shape = Polynomials(self.field, self.x, self.mass, self.moments)
         else:
             kind = "points" if kind in ("log_density", "family", "pieces") else kind
@@ -296,7 +296,7 @@ class ParticleDensity(Noted):
             A `read_out`; by default "points" for a "cloud", since a prediction gets the moments of its points
             right. "log_density" takes a fixed set of points a cell.
         """
-        read = self._read("points" if kind is None and self.read_out == "cloud" else kind)
+        read = self._read(kind, {"cloud": "points"})
         return statistics.moment(read, powers, self.mean() if central else None)
 
     def probability(self, region: Callable[[Floats], ArrayLike], kind: ReadOut | None = None) -> float:
@@ -433,16 +433,12 @@ class ParticleDensity(Noted):
         about |= {"kernel": self.kernel, "represented_mass": self.represented_mass}
         return ParticleDensity(**given, **about)
 
-    def _read(self, kind: ReadOut | None) -> "ParticleDensity":
-        """The density with another read-out, or itself."""
-        read_out = self.read_out if kind is None else choice("kind", kind, READ_OUTS)
+    def _read(self, kind: ReadOut | None, usual: Mapping[ReadOut, ReadOut]) -> "ParticleDensity":
+        """The density read as a kind, if one is given; else as is usual for its own, or itself."""
+        own = self.read_out
+        read_out = usual.get(own, own) if kind is None else choice("kind", kind, READ_OUTS)
         return self if read_out == self.read_out else replace(self, read_out=read_out)
 
     def _between(self, kind: ReadOut | None) -> "ParticleDensity":
         """The density as it is read between its points."""
-        return self._read("mixture" if kind is None and self.read_out == "points" else kind)
-
-
-def formula_of(density: ParticleDensity) -> Family | Pieces | None:
-    """What says log p of a density everywhere, a family or a sum; None where nodes, points or kernels do."""
-    return density.family or density.pieces
+        return self._read(kind, {"points": "mixture"})

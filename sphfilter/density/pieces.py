@@ -13,6 +13,8 @@ from .._types import Bools, Floats, Ints
 from ..core.family.rules import rule as family_rule
 from ..core.limits import LOG_2_PI
 from ..errors import PropagationError
+from ..lattice.level_set import LatticeDensity
+from .family import laid_by
 from .points import moments_of_sum
 from .quasi_random import quasi_random, systematic
 from .shapes import Shape
@@ -45,12 +47,7 @@ class Pieces(NamedTuple):
         """Covariances (K, n, n)."""
         return np.einsum("kac,kbc->kab", self.root, self.root)
 
-    @property
-    def middles(self) -> Floats:
-        """Where parts of the sum lie, (K, n)."""
-        return self.mean
-
-    def shape(self, *_: Any) -> Shape:
+    def shape(self, _: Any) -> Shape:
         """The shape of a density of these pieces."""
         return GaussianPieces(self)
 
@@ -154,6 +151,9 @@ class GaussianPieces(Shape):
     """A sum of Gaussians: all questions in closed form, or by states spread evenly in each."""
 
     pieces: Pieces
+
+    def on_lattice(self, n_particles: int) -> LatticeDensity:
+        return laid_by(self.pieces.log_p, self._moments, n_particles, self.pieces.mean)
 
     def logpdf(self, X: Floats) -> Floats:
         return self.pieces.log_p(X)

@@ -9,11 +9,9 @@ import numpy as np
 
 from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig, LogDensityScheme, PaperScheme, Scheme, SolverConfig
-from ..core.field.walls import NO_WALLS
 from ..core.limits import LARGEST_EXPONENT
 from ..errors import ModelError, PropagationError
 from ..info import ResampleInfo
-from ..lattice import field
 from ..lattice.candidates import NO_OVERLAP, Product, Sought, best_candidate
 from ..lattice.check import Misfit, misfit
 from ..lattice.level_set import lattice_reach
@@ -24,9 +22,8 @@ from ..lattice.walls import continued
 from ..model.domain import Domain
 from ..validate import count
 from .distributions import gaussian_log_pdf
-from .family import family_on_lattice
 from .memory import min_nodes
-from .particle_density import ParticleDensity, formula_of
+from .particle_density import ParticleDensity
 from .particles import particles_on
 
 _FAINT = -12.0  # logarithm of a Gaussian's weight beside a mixture of kernels
@@ -68,10 +65,8 @@ def resample(
 
 def logarithm(density: ParticleDensity) -> OfStates:
     """Return log p as a function of states (M, n), defined far outside of the particles too."""
-    if density.field is not None:
-        return partial(field.log_p_at, density.field)
-    if (formula := formula_of(density)) is not None:
-        return formula.log_p
+    if density.form.smooth:
+        return density.form.bare.logpdf
     factor = np.linalg.cholesky(density.cov("points"))
     # A mixture of kernels ends somewhere: a faint Gaussian of the same moments goes on.
     faint = gaussian_log_pdf(density.mean(), factor @ factor.T)
@@ -91,14 +86,10 @@ def times_likelihood(
     it overlooks something.
     """
     depth = 0.5 * lattice_reach(scheme, density.dim) ** 2
-    cell = None if density.field is None else density.field.A
-    domain = density.domain
-    walls, weight, log_p = NO_WALLS, log_weight, logarithm(density)
+    cell, domain = density.form.cell, density.domain
+    walls, weight, log_p = density.walls, log_weight, folded_logarithm(density)
     if domain is not None:
-        walls = domain.walls
         weight = continued(lambda X: log_weight(domain.wrap(X)), walls)
-        if density.field is None and walls[0].size:  # kernels have images beyond walls
-            log_p = partial(folded, log_p, domain)
 
     def product(X: Floats) -> Floats:
         return log_p(X) + np.maximum(weight(X), -1e250)
@@ -122,9 +113,12 @@ def times_likelihood(
     return new, found.laid.log_mass - math.log1p(-found.left_out), found
 
 
-def folded(log_p: OfStates, domain: Domain, X: Floats) -> Floats:
-    """Logarithm (M,) of a density at states X (M, n) that walls and periods are taken out of."""
-    return log_p(domain.fold(X))
+def folded_logarithm(density: ParticleDensity) -> OfStates:
+    """As `logarithm`, of states inside of the walls of a domain where kernels have images beyond these."""
+    log_p, domain = logarithm(density), density.domain
+    if domain is None or density.form.smooth or not density.walls[0].size:
+        return log_p
+    return lambda X: log_p(domain.fold(X))
 
 
 def max_particles_of(density: ParticleDensity, n_particles: int | str | None = None) -> int:
@@ -154,10 +148,9 @@ def target_of(
 
 def on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity:
     """A density that is one family, or pieces, on a lattice; another as it is."""
-    formula = formula_of(density)
-    if formula is None:
+    laid = density.form.bare.on_lattice(n_particles)
+    if laid is None:
         return density
-    laid = family_on_lattice(formula.log_p, density.moments, n_particles, formula.middles)
     about = density.t, density.capacity, density.gaussian, density.domain
     error, lost, rough = density.error, density.lost, density.rough
     return ParticleDensity.on_lattice(laid, *about, error=error, lost=lost, rough=rough)

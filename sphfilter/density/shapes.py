@@ -26,7 +26,7 @@ from ..model.domain import Domain
 from . import marginal, mixture
 from .quasi_random import quasi_random, spread_evenly, systematic
 
-LATTICE_SUPPORT = 1.2  # smoothing length on a lattice, in units of its spacing
+LATTICE_SUPPORT = 1.2  # smoothing length on a lattice over its spacing: the coupling eta = h / dx of 000
 _CANDIDATES = 8  # states in cells over points drawn; measured: half, twice change errors by .9, .7 times
 _CELL_POINTS = 2**17  # in all cells, up to 128 in each and at least 16: 8 n bytes each = n MB
 #: Mean (n,) and covariance (n, n).
@@ -42,9 +42,23 @@ class Shape(Protocol):
         return self
 
     @property
+    def smooth(self) -> bool:
+        """Whether log p is a smooth function everywhere: kernels end somewhere."""
+        return True
+
+    @property
+    def cell(self) -> Floats | None:
+        """Edges (n, n) of a lattice's cells, in columns; None where the density lies on none."""
+        return None
+
+    @property
     def widening(self) -> float:
         """Variance along each axis by which the covariance exceeds that of the points."""
         return 0.0
+
+    def on_lattice(self, n_particles: int) -> LatticeDensity | None:
+        """The density on a lattice of at most so many nodes; None where nodes or points are the density."""
+        return None
 
     def pdf(self, X: Floats) -> Floats:
         """Density, shape (M,)."""
@@ -107,6 +121,10 @@ class Kernels(Shape):
         if self.images is not None:
             return self.images
         return mixture.mixture(self.x, self.mass, self.h, self.kernel)
+
+    @property
+    def smooth(self) -> bool:
+        return False
 
     @property
     def widening(self) -> float:
@@ -181,6 +199,10 @@ class Polynomials(Shape):
     mass: Floats  # (N,)
     moments: Moments | None  # beyond the cut too
     walls: Walls = NO_WALLS  # where it ends
+
+    @property
+    def cell(self) -> Floats:
+        return self.field.A
 
     @cached_property
     def cells(self) -> Floats:
@@ -271,17 +293,25 @@ class Polynomials(Shape):
 class Folded(Shape):
     """A shape whose states live in a domain: round circles, between walls."""
 
-    shape: Kernels | Polynomials
+    shape: Any  # that has particles: `Kernels`, `Polynomials` or an `Exponential`
     domain: Domain
 
     @property
-    def bare(self) -> Kernels | Polynomials:
+    def bare(self) -> Any:
         return self.shape
+
+    @property
+    def smooth(self) -> bool:
+        return self.shape.smooth
+
+    @property
+    def cell(self) -> Floats | None:
+        return self.shape.cell
 
     @property
     def _ends(self) -> bool:
         """Do polynomials end at walls, and go round no circle? Their moments are integrals then."""
-        return isinstance(self.shape, Polynomials) and not self.domain.periodic.any()
+        return self.shape.smooth and not self.domain.periodic.any()
 
     @cached_property
     def _seen(self) -> Kernels | Polynomials:

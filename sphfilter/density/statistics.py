@@ -193,24 +193,25 @@ def error_of(density: "ParticleDensity", question: Answer) -> Floats:
     def answer(p: "ParticleDensity") -> Floats:
         return np.asarray(question(p), dtype=float)
 
-    if density.cloud is not None and density.read_out == "cloud":
-        return _by_parts(density, answer)
-    points = points_of(density, _POINTS, 0)
-    here = answer(_cloud(density, *points))
-    if density.defect is None or density.family is None:
-        return _by_moving(density, answer, points, here, density.error)
-    unsigned = read_out(density.family, density.defect).unsigned
-    known = OF_SHIFT * (answer(_cloud(density, *_reweighed(density, *points))) - here)
-    return np.hypot(known, _by_moving(density, answer, points, here, unsigned))
+    return _ERRORS.get(density.read_out, _by_moving)(density, answer)
 
 
-def _reweighed(density: "ParticleDensity", x: Floats, w: Floats) -> tuple[Floats, Floats]:
-    """Points of a family that weigh what its defect says they should."""
+def _unknown(density: "ParticleDensity", answer: Answer) -> Floats:
+    """Of kernels, of which nothing tells an error: NaN."""
+    return np.full_like(answer(density), math.nan)
+
+
+def _by_defect(density: "ParticleDensity", answer: Answer) -> Floats:
+    """Of a family: by how much it changes as its points weigh what its defect says they should."""
     family, defect = density.family, density.defect
-    assert family is not None and defect is not None
+    if family is None or defect is None:
+        return _by_moving(density, answer)
+    x, w = points_of(density, _POINTS, 0)
     away = x - family.mu if density.domain is None else density.domain.nearest(x - family.mu)
     off = defect.at(family, family.mu + away)
-    return x, w * np.exp(np.clip(off - w @ off, -_MOST_OFF, _MOST_OFF))
+    heavier = w * np.exp(np.clip(off - w @ off, -_MOST_OFF, _MOST_OFF))
+    known = OF_SHIFT * (answer(_cloud(density, x, heavier)) - answer(_cloud(density, x, w)))
+    return np.hypot(known, _by_moving(density, answer, read_out(family, defect).unsigned))
 
 
 def _by_parts(density: "ParticleDensity", answer: Answer) -> Floats:
@@ -220,7 +221,8 @@ def _by_parts(density: "ParticleDensity", answer: Answer) -> Floats:
     have in common from readings before is taken for as large a part of the answer's as of the mean's. Kernels
     of a part are wider, and what that changes falls as N^(-4/(n + 8)).
     """
-    assert density.cloud is not None
+    if density.cloud is None:
+        return _by_moving(density, answer)
     points = density.cloud.points
     part = (np.arange(len(points.w)) if points.lineage is None else points.lineage[0]) % SHADOW
     some = [_cloud(density, points.x[part == k], points.w[part == k]) for k in range(SHADOW)]
@@ -234,27 +236,29 @@ def _by_parts(density: "ParticleDensity", answer: Answer) -> Floats:
     return np.hypot(scale * np.std(answers, axis=0, ddof=1), smoothed)
 
 
-def _by_moving(
-    density: "ParticleDensity", answer: Answer, points: tuple[Floats, Floats], here: Floats, error: float
-) -> Floats:
+def _by_moving(density: "ParticleDensity", answer: Answer, error: float | None = None) -> Floats:
     """Of a density without points of its own: by how much it changes as mean and variances are off.
 
-    Along each of its principal axes the mean by the error told, and the variance by √2 of it: a change of the
-    logarithm by a Hermite polynomial of the second degree does that which shifts a mean by as much. `here` is
-    the answer of its points as they are.
+    Along each of its principal axes the mean by an error, its own if none is given, and the variance by √2 of
+    it: a change of the logarithm by a Hermite polynomial of the second degree does that which shifts a mean
+    by as much.
     """
-    x, w = points
+    x, w = points_of(density, _POINTS, 0)
+    here, error = answer(_cloud(density, x, w)), density.error if error is None else error
     mean, cov = (density.mean(), density.cov()) if density.domain is not None else moments(x, w)
     values, axes = np.linalg.eigh(cov)
     off = x - mean if density.domain is None else density.domain.nearest(x - mean)
     square, step = np.zeros_like(here), max(error, LITTLE)  # of less, few points tell the change
-    if math.isnan(error) or density.read_out in ("points", "mixture"):  # of kernels nothing tells it
+    if math.isnan(error):
         return np.full_like(here, math.nan)
     for value, axis in zip(np.maximum(values, 0.0), axes.T, strict=True):
         along = np.outer(off @ axis, axis)
         for change in (step * math.sqrt(value) * axis, step * math.sqrt(0.5) * along):
             square = square + (answer(_cloud(density, x + change, w)) - here) ** 2
     return np.asarray(error / step * np.sqrt(square))
+
+
+_ERRORS = {"points": _unknown, "mixture": _unknown, "cloud": _by_parts, "family": _by_defect}
 
 
 def pdf_error(density: "ParticleDensity") -> float:

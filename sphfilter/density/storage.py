@@ -25,7 +25,7 @@ from ..errors import ModelError
 from ..model.domain import Domain
 from ..model.dynamics import Dynamics
 from .as_cloud import cloud_density, cloud_of
-from .cloud import matched
+from .cloud import matched, passages_of
 from .defect import Defect
 from .family import Family
 from .left_out import LeftOut
@@ -40,26 +40,26 @@ from .quasi_random import weighted_points
 Arrays: TypeAlias = dict[str, NDArray[Any]]
 FORMAT = 1
 _TUPLES: dict[str, Any] = {"family": Family, "pieces": Pieces, "left_out": LeftOut}
+_FIELD = "mu", "A", "node", "kept", "log_p"  # what a field is built from
+#: What a density is kept in besides its particles, and the arrays that make it again.
+_KEPT = {"field": _FIELD, **{name: kind._fields for name, kind in _TUPLES.items()}}
 _ARRAYS = "x", "mass", "h", "log_density", "invariant"
 _OF_FAMILIES = 2**12  # points of a sum of families: random ones would have a mean within 1 / √2^12 = .016
-_FIELD = "mu", "A", "node", "kept", "log_p"  # what a field is built from
 
 
 def stored(density: ParticleDensity) -> Arrays:
     """A density as arrays by name; `density_from` makes the same density of them, to the last bit."""
     arrays = {name: getattr(density, name) for name in _ARRAYS if getattr(density, name) is not None}
-    if density.field is not None:
-        arrays |= {f"field.{name}": getattr(density.field, name) for name in _FIELD}
     if density.moments is not None:
         arrays |= {"moments.mean": density.moments[0], "moments.cov": density.moments[1]}
     if density.defect is not None:
         arrays["defect"] = density.defect.packed
     if density.cloud is not None:
         arrays = _stored_cloud(density.cloud)
-    for name in _TUPLES:
-        if (own := getattr(density, name)) is not None:
-            arrays |= under(name, own._asdict())
-    special = {*_ARRAYS, *_TUPLES, "field", "moments", "domain", "defect", "cloud"}
+    for kept, names in _KEPT.items():
+        if (own := getattr(density, kept)) is not None:
+            arrays |= under(kept, {name: getattr(own, name) for name in names})
+    special = {*_ARRAYS, *_KEPT, "moments", "domain", "defect", "cloud"}
     about: dict[str, Any] = {
         f.name: getattr(density, f.name) for f in fields(density) if f.init and f.name not in special
     }
@@ -117,8 +117,7 @@ def _needs_from(known: list[Any]) -> Memory:
 
 def models_of(density: ParticleDensity) -> tuple[Dynamics, ...]:
     """The models of a cloud's predictions since the last reading, which `density_from` needs."""
-    path = None if density.cloud is None else density.cloud.points.path
-    return () if path is None else tuple(p.model for p in path.passages if p.model is not None)
+    return tuple(passage.model for passage in passages_of(density) if passage.model is not None)
 
 
 def _stored_cloud(state: CloudState) -> Arrays:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from ..config import FilterConfig
-from ..density.as_family import as_polynomials
+from ..density.as_family import as_polynomials, may_miss
 from ..density.defect import ROUGH
 from ..density.memory import Memory, error_budget, flagged_from, min_nodes, tolerated_excess
 from ..density.particle_density import ParticleDensity
@@ -90,8 +90,8 @@ def _on_cloud(
 ) -> Posterior:
     """The posterior as a cloud; of how many points the next one has, what its points told tells."""
     new, said = by_cloud(density, asked, 0, config, n_points=needs.cloud(target, density.dim))
-    assert new.cloud is not None
-    needs = needs.told(new.cloud.told.decisive(target, new.dim), target, new.cloud.size, new.dim)
+    cloud: Any = new.cloud
+    needs = needs.told(cloud.told.decisive(target, new.dim), target, cloud.size, new.dim)
     return new.noted(needs=needs), _flagged_if_missed(said, target)
 
 
@@ -101,7 +101,7 @@ def _on_lattice(
     """The posterior on a lattice, of more nodes where the error asks for it."""
     nodes, before = needs.nodes or min_nodes(density.dim), math.inf
     for left in range(1 if config.time_budget else _TRIES, 0, -1):
-        laid, known = on_lattice(density, nodes), density.family is not None and not density.gaussian
+        laid, known = on_lattice(density, nodes), may_miss(density)
         if known:  # what its defect tells of, too, and better
             laid = laid.noted(error=math.sqrt(max(laid.error**2 - density.error**2, 0.0)))
         new, said = by_lattice(laid.noted(rough=0.0) if known else laid, asked, nodes, config)

@@ -4,12 +4,12 @@ from typing import Any
 
 import numpy as np
 
+from .._types import Floats, Ints
 from ..config import AcceptanceTest, FilterConfig
 from ..core.limits import TINY
 from ..density.particle_density import ParticleDensity
 from ..density.resample import regrid
-from ..model.measurements import Reading, is_gaussian
-from .acceptance import Acceptance, test_measurement
+from ..model.measurements import is_gaussian
 from .reading_at_prior import ReadingAtPrior
 
 
@@ -44,15 +44,41 @@ def _kernel_ratio(density: ParticleDensity) -> float:
     return float(density.kernel_variance * (density.mass @ density.h**2) / smallest)
 
 
-def _verdict(density: ParticleDensity, asked: ReadingAtPrior, settings: AcceptanceTest) -> Acceptance:
-    """The `Acceptance` of a reading; the test of 002 is defined for directly observed states only."""
+def _verdict(density: ParticleDensity, asked: ReadingAtPrior, settings: AcceptanceTest) -> tuple[bool, str]:
+    """Whether a reading is accepted; and why not, or why it was not tested: states must be read directly."""
     measurement, seen = asked.measurement, asked.seen
     if not settings.enabled:
-        return Acceptance(True, "acceptance test off")
+        return True, "acceptance test off"
     if measurement.directly_observed is None or not is_gaussian(measurement):
-        return Acceptance(True, "acceptance test skipped: the sensor does not observe states directly")
+        return True, "acceptance test skipped: the sensor does not observe states directly"
     states, scales = measurement.directly_observed
     states, scales = states[seen], scales[seen]
     variance = np.diag(measurement.noise_cov)[seen] / scales**2
-    z = Reading.of(asked.z).z[seen]
-    return test_measurement(density, z / scales, variance, states, settings)
+    refused = _refused(density, asked.numbers[seen] / scales, variance, states, settings)
+    return not refused, refused
+
+
+def _refused(
+    density: ParticleDensity, z: Floats, variance: Floats, states: Ints, settings: AcceptanceTest
+) -> str:
+    """Sentence on an expected posterior that lies where the prior has no particles (002 (60)-(62)), or none.
+
+    z and variance (k,) are the measured values of the states of these numbers (k,), and their noise
+    variances. The posterior is compared with the prior's domain along each of these states.
+    """
+    mean, prior_variance = density.mean()[states], np.diag(density.cov())[states]
+    total = prior_variance + variance
+    mu = (z * prior_variance + mean * variance) / total  # (60)
+    half = settings.z_pi * np.sqrt(prior_variance * variance / total)
+    low, high = density.x[:, states].min(axis=0), density.x[:, states].max(axis=0)
+    above, below = mu + half - high, low - (mu - half)
+    outside = np.where(mu >= mean, above, below) > density.mean_support  # (61)
+    edge = np.maximum(above, 0.0) + np.maximum(below, 0.0)
+    on_edge = edge > settings.f_edge * 2.0 * half  # (62)
+    for which, where in ((outside, "outside the particles"), (on_edge, "on the edge kernels")):
+        for d in np.flatnonzero(which):
+            return (
+                f"the posterior expected for state {states[d]}, {mu[d]:.4g} ± {half[d]:.3g}, lies too far "
+                f"{where}, which span {low[d]:.4g} to {high[d]:.4g}"
+            )
+    return ""

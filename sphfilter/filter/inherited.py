@@ -1,13 +1,13 @@
 """What readings leave of the errors that a prior has, of its mean and of what its shape is."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .._types import Floats
 from ..core.cloud.weights import LINES
-from ..density.as_family import defect_in, moments_on_line
+from ..density.as_family import defect_in, may_miss, moments_on_line
 from ..density.defect import OF_UNSIGNED, ROUGH, Moments, Told, read_out, read_out_after, steepness, told_at
 from ..density.particle_density import ParticleDensity
 from ..density.points import CloudState, Origin, Points, whitener
@@ -48,10 +48,11 @@ def evidence_error_by(
 def left_by_update(prior: ParticleDensity, posterior: ParticleDensity) -> tuple[float, float]:
     """Errors of mean and log-evidence that a prior brings to its posterior."""
     moments = moments_on_line(prior), moments_on_line(posterior)
-    if prior.family is None or prior.gaussian:
+    if not may_miss(prior):
         left = shift_left_by_update(moments[0][1], moments[1][1], posterior.gaussian)
         return left * prior.error, evidence_error_of(prior, posterior)
-    family, defect = prior.family, defect_in(prior, prior.family)
+    family: Any = prior.family
+    defect = defect_in(prior, family)
     after = read_out_after(family, defect, (posterior.x, posterior.mass), moments)
     return after.error, evidence_error_by(read_out(family, defect), after.log_mass, prior, posterior)
 

@@ -29,7 +29,7 @@ from ..model.sensors import Sensors
 from ..prediction.jumping import suits
 from ..prediction.mixing_modes import whatever_the_mode
 from ..prediction.switching import ModesInfo, ModesPrediction, points_of_modes, predict_modes
-from ..validate import onwards, real, seconds, short
+from ..validate import end_of, short
 from .by_ladder import target_missed
 from .checkpoint import restored_modes
 from .names import suggest_keyword
@@ -255,16 +255,10 @@ class JumpMarkovFilter(DensityFilter[ModeDensities, JumpMarkovModel, _Sensors]):
         The inputs of the modes' models are u over the interval, in their order or by name.
         """
         self._budget.begin(step=True)
-        if dt is not None and t is not None:
-            raise ModelError("predict takes either dt or t=, one of them")
-        if t is None:
-            if dt is None and self.dt is None:
-                raise ModelError("predict needs dt or t=, or a filter made with dt=")
-            end = self.t + seconds("dt", self.dt if dt is None else dt)
-        else:
-            (end,) = onwards(np.array([real("t", t)]), self.t).tolist()
-        if end < self.t:
-            raise ModelError(f"cannot predict back in time: from t = {self.t:g} to {end:g}")
+        by = self.dt if dt is None and t is None else dt
+        if by is None and t is None:
+            raise ModelError("predict needs dt or t=, or a filter made with dt=")
+        end = end_of(self.t, by, t)
         rehearses = self._rehearsed(end - self.t)
         state, model, what = self._afforded(), self.model if u is None else self.model.with_inputs(u), ""
         if end == self.t:

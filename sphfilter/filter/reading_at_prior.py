@@ -64,7 +64,7 @@ class ReadingAtPrior(NamedTuple):
 
     def search(self, density: ParticleDensity, config: FilterConfig) -> Search:
         """How far the posterior is searched for peaks between the prior's nodes."""
-        cell = None if density.field is None else density.field.A
+        cell = density.form.cell
         states = None if cell is None and self.named is None else self.explained(density.x, cell)
         lines = not is_gaussian(self.measurement)
         return Search(config.most_left_out, lines, states, config.time_budget is None)

@@ -14,9 +14,10 @@ from ..config import FilterConfig, LogDensityScheme
 from ..core.cloud.control import WRONG, points_for
 from ..core.limits import EDGE, LARGEST_EXPONENT, LOOK, SAID
 from ..core.step_control import HELPED, TRIES
+from ..density.as_family import may_miss
 from ..density.cloud import moments_of, points_of
 from ..density.left_out import LeftOut, lacking
-from ..density.memory import MISSED
+from ..density.memory import MISSED, Memory
 from ..density.particle_density import ParticleDensity
 from ..density.passage import age_of, stored_key
 from ..density.resample import max_particles_of, target_of
@@ -95,10 +96,10 @@ def update_or_predict_again(
         once = prior, posterior, info
         return Outcome(*_on_more_points(prediction, once, measurement, z, config), bound)
     posterior, info = _used_together(prediction, (posterior, info), (measurement, z), config, n_particles)
-    if before is not None and prior.family is not None and not prior.gaussian:
+    if before is not None and may_miss(prior):
         once = prior, posterior, info
         return Outcome(*_without_family(prediction, once, measurement, z, config), bound)
-    known = prior.field is None or prior.gaussian or info.extrapolated < SAID
+    known = prior.gaussian or info.extrapolated < SAID
     if known or prediction.readings or before is None or before.field is None:
         return Outcome(prior, posterior, info, bound)
     from scipy.stats import chi2  # on use: import time
@@ -241,16 +242,20 @@ def _on_more_points(
             best = prior, posterior, info
         if not helped or not grown:  # what is wrong was wrong before, and no points here cure it
             break
+    return best if best is once else _remembering(best, once, known, target)
+
+
+def _remembering(best: Read, once: Read, known: Memory, target: float) -> Read:
+    """The best of several tries, whose next cloud has as many points as before, or more if these helped."""
     prior, posterior, info = best
     cloud, needs = posterior.cloud, posterior.needs
-    if best is not once and cloud is not None and needs is not None:
-        usual = known
-        if _deciding(posterior, info, target) < HELPED * _deciding(*once[1:], target):
-            told = cloud.told.decisive(target, prior.dim)
-            usual = known._replace(calm=max(known.calm, 0)).told(told, target, cloud.size, prior.dim)
-        points = usual.cloud(target, prior.dim)
-        posterior = posterior.noted(needs=needs._replace(points=points, calm=usual.calm))
-    return prior, posterior, info
+    if cloud is None or needs is None:
+        return best
+    if _deciding(posterior, info, target) < HELPED * _deciding(*once[1:], target):
+        told = cloud.told.decisive(target, prior.dim)
+        known = known._replace(calm=max(known.calm, 0)).told(told, target, cloud.size, prior.dim)
+    points = known.cloud(target, prior.dim)
+    return prior, posterior.noted(needs=needs._replace(points=points, calm=known.calm)), info
 
 
 def _added(

@@ -12,6 +12,7 @@ from .._types import Floats
 from ..config import FilterConfig
 from ..core.cloud.control import points_for
 from ..core.step_control import HELPED, MORE, TRIES
+from ..density.as_family import gaussians_of
 from ..density.memory import MISSED
 from ..density.modes import ModeDensities
 from ..info import Code, UpdateInfo
@@ -69,12 +70,9 @@ def update_or_predict_modes_again(
         off = float(modes.w @ modes.splitting)
     if off <= target and not far:
         return prior, modes, info
-    t, in_doubt, told = prior.heaviest.t, 0.0, []
+    t, in_doubt = prior.heaviest.t, 0.0
     more = off > target and prediction.n_substeps < MOST_SUBSTEPS
-    if more:
-        told.append((Code.REPEATED, _REPEATED))
-    if far:
-        told.append((Code.REPEATED, _APART))
+    told = [(Code.REPEATED, what) for what, is_so in ((_REPEATED, more), (_APART, far)) if is_so]
     finer = MORE * min(off / target, _FINEST) if more else 1.0
     apart = far or 1.0
     for _ in range(TRIES if far else int(more)):
@@ -141,8 +139,8 @@ def _far(prior: ModeDensities, w: Floats, infos: Sequence[UpdateInfo | None]) ->
     Where mergers change log p by its rms near the middle, they change it so many times more there. Zero where
     the reading is near, or nothing was merged.
     """
-    some = [p for _, _, p in prior.some]
-    if all(p.pieces is None for p in some) or not all(p.gaussian or p.pieces is not None for p in some):
+    several = [p for _, _, p in prior.some if not p.gaussian]
+    if not several or not all(gaussians_of(p) for p in several):
         return 0.0
     square = 0.0
     for share, info in zip(w, infos, strict=True):

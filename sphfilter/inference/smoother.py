@@ -305,8 +305,8 @@ def _backward(epochs: list[_Epoch]) -> list[tuple[ParticleDensity, float, float,
     """Density, log-evidence of all measurements, extrapolated probability and error at every epoch."""
     last = epochs[-1].filt
     scheme = LogDensityScheme(reach=lattice_reach(last.config.scheme, last.model.dim) + _FURTHER)
-    laid, *_ = times_likelihood(last.density, lambda X: np.zeros(len(X)), last.n_particles, scheme)
-    found = likelihood_field(_field(laid), epochs[-1].log_likelihood(nodes(_field(laid))))
+    laid: Any = times_likelihood(last.density, lambda X: np.zeros(len(X)), last.n_particles, scheme)[0]
+    found = likelihood_field(laid.field, epochs[-1].log_likelihood(nodes(laid.field)))
     out = [(last.density, last.log_evidence, 0.0, math.nan)]
     for before, after in zip(epochs[-2::-1], epochs[:0:-1], strict=True):
         try:
@@ -315,8 +315,8 @@ def _backward(epochs: list[_Epoch]) -> list[tuple[ParticleDensity, float, float,
             raise PropagationError(
                 f"smoothing back from t = {after.filt.t:g} to {before.filt.t:g}: {problem}"
             ) from problem
-        past = before.filt
-        guessed = extrapolated_mass(_field(past.density), smoothed.x, smoothed.mass)
+        past: Any = before.filt
+        guessed = extrapolated_mass(past.density.field, smoothed.x, smoothed.mass)
         out.append((smoothed, past.log_evidence + future, guessed, math.nan))
     return out[::-1]
 
@@ -331,6 +331,7 @@ def _one_back(
     u = after.filt.inputs  # of the prediction between
     priors = between(before.filt, after.filt.t, max(after.n_steps, 1), u)
     model: Any = before.filt.model.with_inputs(u)
+    smoothed: Any
     for prior, t in zip(priors[::-1], [after.filt.t, *(p.t for p in priors[:0:-1])], strict=True):
         if isinstance(model, DiscreteModel):
             log_beta = chapman_kolmogorov.integrated_back(model, found, prior)
@@ -344,14 +345,8 @@ def _one_back(
         else:
             if isinstance(model, DiscreteModel):
                 raise PropagationError("the transition jumps, and no lattice holds what later readings say")
-        X = nodes(_field(smoothed))
+        X = nodes(smoothed.field)
         values = log_beta(X)
         if prior is not priors[0]:
-            found = likelihood_field(_field(smoothed), values)
-    return smoothed, likelihood_field(_field(smoothed), values + before.log_likelihood(X)), future
-
-
-def _field(density: ParticleDensity) -> Field:
-    """The field of a density that the log-density scheme carries: all of them have one."""
-    assert density.field is not None
-    return density.field
+            found = likelihood_field(smoothed.field, values)
+    return smoothed, likelihood_field(smoothed.field, values + before.log_likelihood(X)), future

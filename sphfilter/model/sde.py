@@ -134,7 +134,7 @@ class SDE(Dynamics):
         validate.choice("interpretation", interpretation, ("ito", "stratonovich"))
         values = Values.of(parameters, inputs)
         data = values.data
-        makers, Q, tail, flags = noise_parts(noise, spectral_density, diffusion, n, data, vectorized)
+        parts = makers, Q, _, flags = noise_parts(noise, spectral_density, diffusion, n, data, vectorized)
         f = compile_rows(drift, (n,), "drift", n, data, vectorized)
         makers["drift"] = lambda fs: f
         if interpretation == "stratonovich" and flags["state_dependent_noise"]:
@@ -147,7 +147,7 @@ class SDE(Dynamics):
             makers["divergence"] = lambda fs: given
         flags["autonomous"] = flags["autonomous"] and not reads_time(drift, "drift", data)
         names = [f"x{i}" for i in range(n)]
-        self._assemble((SDE, recipe), names, values, Q, makers, tail, flags, domain, max_step, events)
+        self._assemble((SDE, recipe), names, values, parts, domain, max_step, events)
 
     @classmethod
     @validate.keywords
@@ -216,11 +216,10 @@ class SDE(Dynamics):
         validate.choice("interpretation", interpretation, ("ito", "stratonovich"))
         values = Values.of(parameters, inputs)
         words = Vocabulary([*values.parameters], [*values.inputs], tables_of(tables))
-        makers, Q, tail, flags = symbolic_model(states, drift, noise, diffusion, spectral_density, words,
-                                                interpretation)  # fmt: skip
+        parts = symbolic_model(states, drift, noise, diffusion, spectral_density, words, interpretation)
         self, made = cls.__new__(cls), (SDE.from_expressions, recipe)
-        stops = np.concatenate([validate.array("events", events, (None,)), flags.pop("breakpoints")])
-        self._assemble(made, states, values, Q, makers, tail, flags, domain, max_step, stops)
+        stops = np.concatenate([validate.array("events", events, (None,)), parts[-1].pop("breakpoints")])
+        self._assemble(made, states, values, parts, domain, max_step, stops)
         return self
 
     def _assemble(
@@ -228,15 +227,16 @@ class SDE(Dynamics):
         recipe: tuple[Callable[..., "SDE"], dict[str, Any]],
         states: Sequence[str],
         values: Values,
-        Q: Floats,
-        makers: dict[str, Maker],
-        tail: Floats,
-        flags: dict[str, Any],
+        parts: tuple[dict[str, Maker], Floats, Floats, dict[str, Any]],
         domain: DomainLike = None,
         max_step: float | None = None,
         events: ArrayLike = (),
     ) -> None:
-        """Set every attribute; the derived functions are compiled when first used."""
+        """Set every attribute; the derived functions are compiled when first used.
+
+        `parts` are the makers of the given functions, Q, the end of their data, and what is known of them.
+        """
+        makers, Q, tail, flags = parts
         self._made(recipe, states, len(Q), tail, domain)
         self._flags, self.spectral_density, self.n_columns = flags, Q, constant_root(0.5 * Q).shape[1]
         Q.setflags(write=False)
@@ -391,14 +391,14 @@ class LinearSDE(SDE):
         B = np.zeros((n, 0)) if B is None else validate.array("B", B, (n, None), "a column for each input")
         if callable(noise):
             raise ModelError("The noise of a LinearSDE is a constant matrix; use SDE for a function.")
-        makers, Q, tail, flags = noise_parts(noise, spectral_density, None, n, Data(), False)
+        parts = makers, _, _, flags = noise_parts(noise, spectral_density, None, n, Data(), False)
         makers["drift"] = lambda fs: shared(derived.linear_drift)
         makers["jacobian"] = lambda fs: shared(derived.linear_jacobian)
         makers["divergence"] = lambda fs: shared(derived.linear_divergence)
         flags["linear"] = True
         self.A, self.b, self.B, self._own_b = A, b, B, b
         values = Values.of(None, [f"u{k}" for k in range(B.shape[1])])
-        self._assemble((LinearSDE, recipe), [f"x{i}" for i in range(n)], values, Q, makers, tail, flags)
+        self._assemble((LinearSDE, recipe), [f"x{i}" for i in range(n)], values, parts)
 
     def _data(self, data: Data) -> Floats:
         """A, b with what the inputs add to it, and the noise."""

@@ -1,4 +1,4 @@
-"""What the schemes share: the model as compiled marches take it, and sentences about a prediction."""
+"""What the schemes share: sentences about a prediction."""
 
 import itertools
 from functools import lru_cache
@@ -6,26 +6,8 @@ from functools import lru_cache
 import numpy as np
 
 from .._types import Floats
-from ..core._addresses import address_of
-from ..core.equations import Equations
 from ..model.dynamics import Dynamics
 from ..model.sde import SDE
-
-
-def equations_of(model: SDE) -> Equations:
-    """A model as the compiled marches take it; it must outlive their use."""
-    constant = model.constant_diffusion
-    D = model.diffusion(np.zeros((1, model.dim)), 0.0)[0] if constant else np.zeros((model.dim, model.dim))
-    return Equations(
-        drift=address_of(model.drift_batch),
-        diffusion=address_of(model.diffusion_batch),
-        divergence=address_of(model.diffusion_divergence_batch),
-        p=model.p,
-        D=np.ascontiguousarray(D),
-        rows=np.flatnonzero(model.diffusion_rows),
-        time_dependent=not constant and not model.state_dependent_noise,
-        state_dependent=bool(model.state_dependent_noise),
-    )
 
 
 @lru_cache(maxsize=64)

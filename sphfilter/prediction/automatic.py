@@ -114,11 +114,8 @@ def _in_domain(
     density: ParticleDensity, model: SDE, t1: float, n_particles: int
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry a density that no lattice holds: a cloud sees walls better than sums over kernels do."""
-    if (
-        density.field is not None
-        and "reflecting" in model.domain.kinds
-        and "bounded" not in model.domain.kinds
-    ):
+    kinds = model.domain.kinds
+    if density.form.smooth and "reflecting" in kinds and "bounded" not in kinds:
         with suppress(PropagationError):  # its paths look beyond walls, kernels do not
             return cloud.propagate(density, model, t1, CloudScheme(), n_particles)
     return paper.propagate(density, model, t1, SUMMED, n_particles)

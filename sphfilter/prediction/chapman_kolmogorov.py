@@ -64,7 +64,7 @@ def propagate(
     """
     starts, moved, asked = model.starts(density.t, t1), on_lattice(density, n_particles), 0
     finer = n_particles > moved.n_particles * 1.5  # a target has asked for more than the density has
-    if moved.field is None:
+    if not moved.form.smooth:
         raise PropagationError("the density has no smooth logarithm")
     for t in starts:
         moved, evaluations = _stepped(moved, model, t, n_particles, finer)

@@ -7,7 +7,6 @@ family, where one holds them, or lie on a new lattice by the logarithm of the su
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,13 +15,13 @@ from scipy.special import logsumexp
 from .._types import Floats, OfStates
 from ..core.cloud.control import MOST_POINTS, power_of_two
 from ..core.family.rules import degrees
-from ..core.field.walls import NO_WALLS
 from ..core.limits import LITTLE
 from ..core.step_control import HELPED
 from ..density.as_cloud import cloud_density
 from ..density.as_family import (
     as_polynomials,
     family_density,
+    gaussians_of,
     moments_on_line,
     pieces_density,
 )
@@ -35,7 +34,7 @@ from ..density.particle_density import ParticleDensity
 from ..density.passage import age_of, stored_key
 from ..density.pieces import Pieces, light, root_of
 from ..density.points import moments_of_sum
-from ..density.resample import folded, logarithm
+from ..density.resample import folded_logarithm
 from ..errors import PropagationError
 from ..lattice.check import misfit, remote
 from ..lattice.field import inside_lattice
@@ -45,7 +44,7 @@ from .again import MOST
 from .ladder import first_degree, prefers_cloud
 
 _AWAY = 3.0  # standard deviations at which what is lost may lie: 2 Φ(-3) = .003 of a Gaussian lies beyond
-_CHANGE = 1.0 / OF_CHANGE  # times the aim, that mergers may change log p by: as much as makes all of it
+_CHANGE = 1.0 / OF_CHANGE  # times the aim, that mergers may change log p by: OF_CHANGE _CHANGE = 1
 _MOMENTS = ParticleDensity.mean, ParticleDensity.cov
 _MOST_PIECES, _COARSER = 200, 5  # of a sum, and times that it may change more until it has no more
 _TRIES, _FINER = 6, 2  # lattices, and times the nodes of the one before
@@ -153,9 +152,12 @@ def _needs(parts: Sequence[Part]) -> Memory | None:
 
 def _as_pieces(parts: Sequence[Part], about: ParticleDensity, allowed: float) -> ParticleDensity | None:
     """Gaussians, all of them, merged; None where a part is no sum of Gaussians."""
-    if not all(p.density.pieces is not None or _gaussian(p.density) for p in parts):
-        return None
-    several = [_pieces_of(part) for part in parts]
+    several = []
+    for part in parts:
+        pieces = gaussians_of(part.density)
+        if pieces is None:
+            return None
+        several.append(pieces._replace(log_w=pieces.log_w + part.log_w))
     union = Pieces(*(np.concatenate(part) for part in zip(*several, strict=True))).normalised()
     kept = union.heavy(LITTLE * allowed, _AWAY)
     lost = float(union.w[~kept].sum())
@@ -175,22 +177,10 @@ def _few(pieces: Pieces, change: float, most: float) -> tuple[Pieces, float]:
     return pieces, change
 
 
-def _gaussian(density: ParticleDensity) -> bool:
-    return density.family is not None and density.gaussian and density.domain is None
-
-
-def _pieces_of(part: Part) -> Pieces:
-    pieces = part.density.pieces
-    if pieces is None:
-        mean, cov = moments_on_line(part.density)
-        pieces = Pieces(np.zeros(1), mean[None], root_of(cov)[None])
-    return pieces._replace(log_w=pieces.log_w + part.log_w)
-
-
 def _as_family(parts: Sequence[Part], about: ParticleDensity, allowed: float) -> ParticleDensity | None:
     """One family, of as low a degree as the error lets it be; None where none holds the sum."""
     domain = about.domain
-    smooth = all(p.density.family or p.density.field or p.density.pieces for p in parts)
+    smooth = all(part.density.form.smooth for part in parts)
     if about.needs is None or not smooth or (domain is not None and domain.walled.any()):
         return None
     mean, cov = _moments(parts)
@@ -230,19 +220,12 @@ def _moments(parts: Sequence[Part]) -> tuple[Floats, Floats]:
 
 def _log_sum(parts: Sequence[Part]) -> OfStates:
     """Logarithm of the sum, at states on the line."""
-    logs, shifts = [_logarithm(part.density) for part in parts], _turned(parts)
+    logs, shifts = [folded_logarithm(part.density) for part in parts], _turned(parts)
 
     def log_p(X: Floats) -> Floats:
         each = [p.log_w + log(X - turn) for p, log, turn in zip(parts, logs, shifts, strict=True)]
         return np.asarray(logsumexp(each, axis=0))
 
-    return log_p
-
-
-def _logarithm(density: ParticleDensity) -> OfStates:
-    log_p = logarithm(density)
-    if density.field is None and density.domain is not None and density.walls[0].size:
-        return partial(folded, log_p, density.domain)  # kernels have images beyond walls
     return log_p
 
 
@@ -254,8 +237,7 @@ def _on_lattice(parts: Sequence[Part], about: ParticleDensity, allowed: float) -
     nodes, depth = _first_nodes(parts, about), 0.5 * lattice_reach(None, n) ** 2
     best: Any = math.inf, None
     for _ in range(_TRIES):
-        walls = NO_WALLS if about.domain is None else about.domain.walls
-        laid = lay(log_p, mean, root_of(cov), seeds, nodes, depth, walls=walls)
+        laid = lay(log_p, mean, root_of(cov), seeds, nodes, depth, walls=about.walls)
         off, beyond = misfit(laid, log_p), ~inside_lattice(laid.field, x)
         far = remote(laid.mean, laid.cov, x[beyond], mass[beyond])
         added = math.hypot(off.mean, far.mean, 0.5 * far.variance)

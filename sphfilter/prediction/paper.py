@@ -7,13 +7,14 @@ import numpy as np
 
 from .._types import Floats
 from ..config import BUFFER_NEIGHBORS, PaperScheme
+from ..core._addresses import address_of
 from ..core._jit import start_threads
 from ..core._records import packed
 from ..core.limits import ROUNDS, TINY
 from ..core.sph import march as core
 from ..core.sph.neighbors import METHODS, choose_method
 from ..core.sph.smoothing import SMOOTHING
-from ..core.sph.state import INTEGRATORS, Cloud, Options, Progress
+from ..core.sph.state import INTEGRATORS, Cloud, Equations, Options, Progress
 from ..density.initialize import on_equal_lattice
 from ..density.particle_density import ParticleDensity
 from ..density.resample import regrid
@@ -22,7 +23,7 @@ from ..info import PredictInfo
 from ..model.compile import surfacing
 from ..model.domain import Domain
 from ..model.sde import SDE
-from ._shared import blow_up, equations_of, skip_notes
+from ._shared import blow_up, skip_notes
 
 #: Particles from which kernel sums are spread over threads; by their number alone, so that the thread
 #: count never changes a bit of the result.
@@ -44,7 +45,7 @@ def propagate(
     """
     start, progress, n_regrids = density.t, packed(Progress(density.t, t1)), 0
     n_discarded, share_kept, status = 0, 1.0, ""
-    if density.field is not None:
+    if density.form.smooth:
         density = on_equal_lattice(density, n_particles, scheme)
     # A step is chosen by what it sees at its start: it must not stride over a change in time.
     dt_max = min(model.max_step, math.inf if model.autonomous else (t1 - start) / _TIME_SLICES)
@@ -98,7 +99,7 @@ def _march(
     options = _options(scheme, density, dt_max, up_to_date, scheme.max_steps - int(progress.steps))
     progress.culprit = 0  # the one of the last call may be gone
     start_threads()
-    equations = equations_of(model)
+    equations = _equations_of(model)
     with surfacing():
         code = core.march(core.parts(), equations, cloud, model.domain.codes, packed(options), progress)
     status, culprit, t = core.STATUS[code], cloud.x[progress.culprit], np.float64(progress.t)
@@ -111,6 +112,22 @@ def _march(
         return replace(density, t=t), status, culprit
     moved = replace(density, x=cloud.x, h=cloud.h, t=t, invariant=cloud.invariant)
     return moved, status, cloud.m if status == "unsettled" else culprit
+
+
+def _equations_of(model: SDE) -> Equations:
+    """A model as the compiled march takes it; it must outlive its use."""
+    constant = model.constant_diffusion
+    D = model.diffusion(np.zeros((1, model.dim)), 0.0)[0] if constant else np.zeros((model.dim, model.dim))
+    return Equations(
+        drift=address_of(model.drift_batch),
+        diffusion=address_of(model.diffusion_batch),
+        divergence=address_of(model.diffusion_divergence_batch),
+        p=model.p,
+        D=np.ascontiguousarray(D),
+        rows=np.flatnonzero(model.diffusion_rows),
+        time_dependent=not constant and not model.state_dependent_noise,
+        state_dependent=bool(model.state_dependent_noise),
+    )
 
 
 def _without_unsettled(

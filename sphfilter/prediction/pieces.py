@@ -1,10 +1,11 @@
 """A sum of Gaussians carried by a linear model, exactly."""
 
 import math
+from typing import Any
 
 import numpy as np
 
-from ..density.as_family import moments_on_line, pieces_density
+from ..density.as_family import gaussians_of, moments_on_line, pieces_density
 from ..density.merging import OF_CHANGE, merged
 from ..density.particle_density import ParticleDensity
 from ..density.pieces import Pieces, pieces_of, root_of
@@ -17,8 +18,8 @@ def carried_pieces(
     density: ParticleDensity, model: Dynamics, t1: float, allowed: float
 ) -> tuple[ParticleDensity, PredictInfo]:
     """Carry pieces to time t1, and merge those that noise has made alike."""
-    assert density.pieces is not None
-    moved = _linearly(density.pieces, model, t1 - density.t)
+    own: Any = density.pieces
+    moved = _linearly(own, model, t1 - density.t)
     pieces, change = merged(moved, allowed / OF_CHANGE)
     error = math.hypot(density.error, OF_CHANGE * change)
     skipped = ("particles: a few Gaussians are the density",)
@@ -28,7 +29,7 @@ def carried_pieces(
 
 def carried_exactly(density: ParticleDensity, model: Dynamics, t1: float) -> ParticleDensity:
     """Carry a Gaussian or pieces to time t1 by a linear model, and merge none."""
-    pieces = density.pieces or pieces_of(*moments_on_line(density))
+    pieces = gaussians_of(density) or pieces_of(*moments_on_line(density))
     return pieces_density(density, _linearly(pieces, model, t1 - density.t), t=float(t1)).noted(
         needs=density.needs
     )

@@ -4,10 +4,9 @@ from dataclasses import replace
 from time import perf_counter
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
-
 from .._types import Interval
 from ..config import CloudScheme, FamilyScheme, FilterConfig, LogDensityScheme, PaperScheme, SolverConfig
+from ..density.cloud import passages_of
 from ..density.memory import Memory
 from ..density.particle_density import ParticleDensity
 from ..density.resample import max_particles_of, on_lattice, target_of
@@ -19,7 +18,7 @@ from ..model.domain import Domain
 from ..model.dynamics import Dynamics
 from ..model.sde import SDE
 from ..model.timing import spans
-from ..validate import count, onwards, real, seconds
+from ..validate import count, end_of
 from . import automatic, chapman_kolmogorov, cloud, family, ladder, log_density, paper
 from .again import Ladder, Outcome, or_as_cloud
 from .exact import propagate_exactly
@@ -84,16 +83,9 @@ def predict(
     t = 2.0, log_density, ok, variance 0.788
     """
     began = perf_counter()
-    if (dt is None) == (t is None):
-        raise ModelError("predict takes either dt or t=, one of them")
     if model.dim != density.dim:
         raise ModelError(f"the model has {model.dim} states, the density {density.dim}")
-    if dt is None:
-        (end,) = onwards(np.array([real("t", t)]), density.t).tolist()
-    else:
-        end = density.t + seconds("dt", dt)
-    if end < density.t:
-        raise ModelError(f"cannot predict back in time: from t = {density.t:g} to {end:g}")
+    end = end_of(density.t, dt, t)
     density = _in_domain(density, model.domain)
     config = config or SolverConfig()
     scheme = config.scheme
@@ -234,8 +226,7 @@ class Prediction(NamedTuple):
         cls, origin: Any, before: ParticleDensity, lost: float, model: Dynamics, density: ParticleDensity
     ) -> "Prediction":
         """The prediction that led from one density to another, where the first one is of this origin."""
-        path = None if density.cloud is None else density.cloud.points.path
-        goes_on = path is not None and len(path.passages) > 2  # noise, and more than this prediction
+        goes_on = len(passages_of(density)) > 2  # noise, and more than this prediction
         if goes_on and isinstance(origin, Prediction) and origin.before is not None:
             return cls(origin.before, lost, model, density.t, earlier=origin.legs)
         return cls(before, lost, model, density.t)

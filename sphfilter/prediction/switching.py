@@ -19,6 +19,7 @@ import numpy as np
 from .._types import Floats
 from ..config import CloudScheme, FilterConfig
 from ..core.cloud.control import power_of_two
+from ..density.as_family import gaussians_of
 from ..density.memory import Memory, error_budget
 from ..density.modes import ModeDensities, SplittingError, no_ripple
 from ..density.particle_density import ParticleDensity
@@ -39,7 +40,8 @@ MOST_SUBSTEPS = 256  # of an interval; measured: half and twice change no run
 #: large with half, 1 to 2.1 times with twice, for .9 and .7 times the work.
 _SPLITTING = 0.25
 _COARSE = "{} steps of the jumps between modes leave {:.2g} of the probability in doubt"
-_KINDS = "family", "log_density", "cloud"  # read-outs, and "family" for all others
+#: What errors of many steps add up by, of each read-out; those of all others add up as of "family".
+_KINDS = {"family": "family", "log_density": "log_density", "cloud": "cloud"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,7 +225,7 @@ def _carried(
     log_w, densities = modes.log_w.copy(), list(modes.densities)
     for i, own, density in modes.some:
         sde = model.modes[model.names[i]]
-        if sde.linear and sde.domain.unbounded and (density.gaussian or density.pieces is not None):
+        if sde.linear and sde.domain.unbounded and (density.gaussian or gaussians_of(density)):
             densities[i] = carried_exactly(density, sde, t)
             told.hear(i, PredictInfo(scheme="exact_linear", error=density.error))
             continue
@@ -250,7 +252,7 @@ def _carried(
 
 
 def _kind(density: ParticleDensity) -> str:
-    return density.read_out if density.read_out in _KINDS else "family"
+    return _KINDS.get(density.read_out, "family")
 
 
 def _steps(

@@ -37,15 +37,15 @@ def aimed(drift, noise, field, y, t1, h, parts):
 
 
 @jit
-def leg_ends(drift, noise, Y, t1, h, parts, legs, w, end):
-    """Ends of paths back from states Y (M, n), in legs of like length, with noise w (M, K).
+def leg_ends(drift, noise, Y, t1, h, parts, legs, w):
+    """Ends (M, n) of paths back from states Y (M, n), in legs of like length, with noise w (M, K).
 
     The noise of the first leg comes last: see `expectation.expected`.
     """
     M, n = Y.shape
     K = w.shape[1] // legs
     f, own, along, unasked = np.empty((M, n)), np.empty(K), along_at(noise.along), np.empty(0)
-    push, start = pushes(noise, h / legs), Y.copy()
+    push, start, end = pushes(noise, h / legs), Y.copy(), np.empty((M, n))
     pull = unblurred(M, push.shape[1])
     for leg in range(legs):
         t, first = t1 - leg * h / legs, (legs - 1 - leg) * K
@@ -58,6 +58,7 @@ def leg_ends(drift, noise, Y, t1, h, parts, legs, w, end):
         for i in range(M):
             for a in range(n):
                 start[i, a] = end[i, a]
+    return end
 
 
 @jit
@@ -66,12 +67,12 @@ def response(drift, noise, field, y, t1, h, parts, legs):
     the lattice.
     """
     n, K = field.mu.size, 2 * noise.G.shape[1] * legs
-    Y, w, end = np.empty((2 * K, n)), np.zeros((2 * K, K)), np.empty((2 * K, n))
+    Y, w = np.empty((2 * K, n)), np.zeros((2 * K, K))
     for k in range(2 * K):
         w[k, k // 2] = 1.0 if k % 2 else -1.0
         for a in range(n):
             Y[k, a] = y[a]
-    leg_ends(drift, noise, Y, t1, h, parts, legs, w, end)
+    end = leg_ends(drift, noise, Y, t1, h, parts, legs, w)
     B = np.zeros((n, K))
     for a in range(n):
         for k in range(K):

@@ -104,8 +104,8 @@ def back_in_halves(step, around, Y, out):
     M, n = Y.shape
     parts = (step.parts + 1) // 2
     B = response(step.drift, step.noise, step.field, around, step.t1, step.h, parts, 2)
-    end, owner, slope = np.empty((M, n)), np.empty(M, np.int64), np.empty((M, n))
-    leg_ends(step.drift, step.noise, Y, step.t1, step.h, parts, 2, np.zeros((M, B.shape[1])), end)
+    end = leg_ends(step.drift, step.noise, Y, step.t1, step.h, parts, 2, np.zeros((M, B.shape[1])))
+    owner, slope = np.empty(M, np.int64), np.empty((M, n))
     slopes(step.field, step.sten, end, owner, slope)
     tail, f1, d1 = np.empty((M, n, n)), np.empty((M, n)), np.empty((M, 1))
     for i in range(M):

@@ -10,7 +10,7 @@ from .._addresses import Entry
 from .._jit import BATCH_FUNCTION, MATRIX, VECTOR, jit
 from ..field.walls import fold
 from ..limits import LITTLE, ROUNDING, TINY
-from ..small_matrices import cholesky, times_lower
+from ..small_matrices import cholesky, product
 from ..step_control import next_step
 from .control import (
     CONTROL,
@@ -26,7 +26,7 @@ from .control import (
     STATE,
 )
 from .noise_paths import NOISE, along_at, freeze, noise_factor_at, pushes, unblurred
-from .step_limits import blur_share, driven_error, noise_limit, path_error, predicted
+from .step_limits import blur_share, driven_ends, noise_limit, path_error, predicted
 
 _MOST_PARTS = 16  # Runge-Kutta steps from lattice to lattice: of errors 16⁻⁴ = 1.5e-5 is left
 
@@ -61,7 +61,7 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
     if noise.state_dependent:
         freeze(x, m, t, noise)
     while True:
-        times_lower(L, Q, S)
+        product(L, Q, 1.0, S)
         limit = control.noise_share / max(noise_limit(noise.G, S), TINY)
         if state[LATTICE_STEP] == 0.0:
             state[LATTICE_STEP] = 1.0 / max(noise_limit(noise.G, S), TINY)  # whose noise is as wide as p
@@ -81,7 +81,8 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
         counters[EVALUATIONS] += 12 * parts * x.shape[0]
         error = path_error(once, twice, m, S) / control.tolerance
         if noise.state_dependent:
-            error = max(error, driven_error(drift, noise, x, f, m, t, h, parts, S) / control.tolerance)
+            ends = driven_ends(drift, noise, x, f, t, h, parts)
+            error = max(error, path_error(ends[0], ends[1], m, S) / control.tolerance)
             counters[EVALUATIONS] += 12 * parts * x.shape[0]
         state[PATH_STEP] = min(next_step(h / parts, error, 4.0), 1.0 / TINY)
         if error <= 1.0:
@@ -90,11 +91,11 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
         if state[PATH_STEP] < ROUNDING * span:
             code = NOT_FINITE if error == np.inf else STALLED
             return Choice(code, h, parts, False, False, twice, mean, S)
-    predicted(drift, noise, x, f, twice, m, t, h, parts, mean, P)
+    mean, P = predicted(drift, noise, x, f, twice, m, t, h, parts)
     counters[EVALUATIONS] += (16 * parts + 2) * noise.G.shape[1] * x.shape[0]
     if not cholesky(P, own):
         return Choice(NOT_FINITE, h, parts, False, False, twice, mean, S)
-    times_lower(own, Q, S)
+    product(own, Q, 1.0, S)
     blurred = (
         noise.state_dependent or not blur_share(drift, noise, x, f, m, t, h, S) < LITTLE * control.tolerance
     )

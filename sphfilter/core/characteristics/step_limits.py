@@ -58,8 +58,11 @@ def path_error(once, twice, m, L):
 
 
 @jit
-def driven_error(drift, noise, x, f, m, t, h, parts, L):
-    """`path_error` of paths that noise, which depends on the state, drives to one side or the other."""
+def driven_ends(drift, noise, x, f, t, h, parts):
+    """Ends (N, n) of paths that noise, which depends on the state, drives to one side or the other.
+
+    Of so many parts, and of twice as many, for `path_error`.
+    """
     push, w = pushes(noise, h), np.empty(2 * noise.G.shape[1])
     pull, once, twice = unblurred(x.shape[0], push.shape[1]), np.empty(x.shape), np.empty(x.shape)
     for i in range(x.shape[0]):
@@ -69,19 +72,19 @@ def driven_error(drift, noise, x, f, m, t, h, parts, L):
     along, unasked = along_at(noise.along), np.empty(0)
     along(drift, drift, noise, x, f, f, t, h, parts, pull, once, unasked)
     along(drift, drift, noise, x, f, f, t, h, 2 * parts, pull, twice, unasked)
-    return path_error(once, twice, m, L)
+    return once, twice
 
 
 @jit
-def predicted(drift, noise, x, f, ahead, m, t, h, parts, mean, cov):
+def predicted(drift, noise, x, f, ahead, m, t, h, parts):
     """Mean and covariance after a step: of the cloud undisturbed, and pushed to and fro by every noise.
 
     Straight pushes and bent ones: their covariance with each other is what keeps a thin density from being
     taken for a still thinner one. Nodes x of masses m, where the drift is f, go `ahead` without noise, by so
-    many Runge-Kutta parts of a step of h seconds. Mean (n,) and cov (n, n) are written; returns the ends of
-    all paths ((4 m + 1) N, n), undisturbed ones first, then one push after the other.
+    many Runge-Kutta parts of a step of h seconds.
     """
     N, n = x.shape
+    mean, cov = np.empty(n), np.empty((n, n))
     n_pushes = 4 * noise.G.shape[1]
     width = max(3.0, 0.5 * n_pushes)
     share = 0.5 / width
@@ -103,4 +106,4 @@ def predicted(drift, noise, x, f, ahead, m, t, h, parts, mean, cov):
             M[first + i] = m[i] * share
     fold(noise.low, noise.high, X)
     moments(X, M, mean, cov)
-    return X
+    return mean, cov

@@ -6,7 +6,7 @@ import numpy as np
 
 from .._jit import jit
 from ..limits import LOG_2_PI
-from ..small_matrices import eigen
+from ..small_matrices import eigen, product
 from .basis import values_at
 
 #: Of moments in a frame: so far it follows a density at once, and from there on it knows nothing of it.
@@ -121,10 +121,7 @@ def reframed(basis, mu, A, c, b, root):
             step[a] += own[a, k] * b[k]
     for a in range(n):
         mu[a] += step[a]
-        for k in range(n):
-            A[a, k] = 0.0
-            for e in range(n):
-                A[a, k] += own[a, e] * root[e, k]
+    product(own, root, 1.0, A)
 
 
 @jit

@@ -10,7 +10,7 @@ from .._jit import jit
 from ..limits import TINY
 from ..step_control import GROW, SHRINK, next_step
 from .frame import FAR, inverse, moments_of, moved, refitted, reframed, root_between, weigh
-from .rates import DEFECT, RATES, product, work
+from .rates import DEFECT, RATES, multiplied, work
 
 OK, STALLED, TOO_MANY, NOT_FINITE, ASTRAY = range(5)
 #: What a code says.
@@ -162,13 +162,13 @@ def _shear(h, n, begin, end, defect):
     for a in range(n):
         for b in range(n):
             X[a, b] = 0.5 * h * (begin[a, b] + end[a, b]) / 2.0**_SQUARED
-    square = product(X, X)
+    square = multiplied(X, X)
     for a in range(n):
         for b in range(n):
             M[a, b] += X[a, b] + 0.5 * square[a, b]
     for _ in range(_SQUARED):
-        M = product(M, M)
-    once = product(M, U)
+        M = multiplied(M, M)
+    once = multiplied(M, U)
     for a in range(n):
         for b in range(n):
             U[a, b] = 0.0

@@ -17,6 +17,7 @@ from numba import typeof, types
 
 from .._addresses import NOWHERE_AT, Entry, function_at
 from .._jit import MATRIX, VECTOR, jit
+from ..small_matrices import product
 from .basis import BASIS
 from .frame import inverse
 
@@ -155,20 +156,16 @@ def defect_rates(flow, basis, beyond, own, y, dy, s, ds):
         for j in range(M):
             ds[1, j] += beyond.power[j, a] * noise
     ds[0, last] = math.sqrt(lost) - ds[1, last] * s[last]
-    gradient = product(A, product(own.S, own.inverse)).ravel()
+    gradient = multiplied(A, multiplied(own.S, own.inverse)).ravel()
     for e in range(n * n):
         ds[1, M + e] = gradient[e]
 
 
 @jit
-def product(X, Y):
+def multiplied(X, Y):
     """X Y, of square matrices."""
-    n = X.shape[0]
-    out = np.zeros((n, n))
-    for a in range(n):
-        for k in range(n):
-            for b in range(n):
-                out[a, b] += X[a, k] * Y[k, b]
+    out = np.empty(X.shape)
+    product(X, Y, 1.0, out)
     return out
 
 
@@ -235,11 +232,7 @@ def _in_frame(own, rows):
 def _twice_in_frame(inverse_A, D, other):
     """D <- A^-1 2 D A^-T."""
     n = D.shape[0]
-    for a in range(n):
-        for b in range(n):
-            other[a, b] = 0.0
-            for k in range(n):
-                other[a, b] += inverse_A[a, k] * D[k, b]
+    product(inverse_A, D, 1.0, other)
     for a in range(n):
         for b in range(n):
             D[a, b] = 0.0

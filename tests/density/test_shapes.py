@@ -1,0 +1,53 @@
+"""What steps ask of a density's shape, of every representation."""
+
+import numpy as np
+import pytest
+
+import sphfilter as sf
+from sphfilter.density.as_cloud import cloud_density
+from sphfilter.density.as_family import gaussians_of, may_miss, pieces_density
+from sphfilter.density.pieces import Pieces
+
+NORMAL = sf.Gaussian([0.5], [[0.4]])
+FAMILY = sf.initialize(NORMAL, "auto")
+TWO = Pieces(np.log([0.5, 0.5]), np.array([[0.0], [1.0]]), np.full((2, 1, 1), np.sqrt(0.15)))
+DENSITIES = {
+    "kernels": sf.initialize(NORMAL, 60, sf.SolverConfig(scheme="paper")),
+    "cloud": cloud_density(FAMILY, FAMILY.sample(500, 1), np.full(500, 1.0 / 500)),
+    "lattice": sf.initialize(NORMAL, 60),
+    "family": FAMILY,
+    "pieces": pieces_density(FAMILY, TWO),
+    "family round a circle": sf.initialize(NORMAL, "auto", domain=[("periodic", -np.pi, np.pi)]),
+}
+KERNELS, FORMULAS = {"kernels", "cloud"}, {"family", "pieces", "family round a circle"}
+
+
+@pytest.mark.parametrize("name", DENSITIES)
+def test_kernels_end_somewhere_and_a_lattice_alone_has_cells(name):
+    form, field = DENSITIES[name].form, DENSITIES[name].field
+    assert form.smooth == (name not in KERNELS)
+    assert (form.cell is None) == (name != "lattice")
+    if name == "lattice":
+        np.testing.assert_array_equal(form.cell, field.A)
+
+
+@pytest.mark.parametrize("name", DENSITIES)
+def test_a_formula_lies_on_as_many_nodes_as_are_asked_for(name):
+    laid = DENSITIES[name].form.bare.on_lattice(80)
+    assert (laid is None) == (name not in FORMULAS)
+    if laid is not None:
+        assert 40 < len(laid.x) <= 80
+        np.testing.assert_allclose([laid.mean[0], laid.cov[0, 0]], [0.5, 0.4], rtol=1e-3)
+
+
+def test_a_family_round_a_circle_lays_its_lattice_when_it_is_asked_for_a_density():
+    density = sf.initialize(NORMAL, "auto", domain=[("periodic", -np.pi, np.pi)])
+    assert density.form.smooth and "laid" not in vars(density.form.bare)
+    assert density.mean()[0] == pytest.approx(0.5, abs=1e-6) and "laid" in vars(density.form.bare)
+    assert density.pdf([0.5]) == pytest.approx(1.0 / np.sqrt(2.0 * np.pi * 0.4), rel=1e-3)
+
+
+def test_what_is_known_to_be_gaussian_misses_nothing():
+    assert [name for name, density in DENSITIES.items() if gaussians_of(density)] == ["family", "pieces"]
+    assert not may_miss(FAMILY) and not may_miss(DENSITIES["lattice"])
+    assert may_miss(FAMILY.noted(gaussian=False))
