@@ -26,9 +26,8 @@ _PART = 1.0 / 4.0
 _USUAL = 0.25  # error of a cloud of one point a typical reading leaves, over N^-1/2, before anything tells it
 #: Of the bias that is allowed, that steps get longer for (measured: with a tenth 1 to 1.9 times the steps).
 _AIMED = 0.5
-#: Points of a cloud, least and most: powers of two, for which nets are evenest. The shadow of the least has
-#: 32, and the error of the most is some _OF_RANDOM / √2^17 = 1.4e-3.
-_FEWEST_POINTS, MOST_POINTS = 32 * SHADOW, 2**17
+#: The most points of a cloud, whose error is some _OF_RANDOM / √2^17 = 1.4e-3.
+MOST_POINTS = 2**17
 #: Points of a shadow over n + 1, at least: so many draws leave a covariance 21^-.5 = .22 off. Measured on
 #: scenes asked .1 and .03, error² times time: with half of the points 1.4 times as much (two and three
 #: states), with 256 in five and six states 2 to 4 times (`experiments benchmark`).
@@ -192,8 +191,8 @@ def steps_of_shadow(steps, alike, least):
 
 @register_jitable
 def power_of_two(count):
-    """The next power of two, within what clouds may have."""
-    return min(max(2 ** math.ceil(math.log2(max(count, 1.0))), _FEWEST_POINTS), MOST_POINTS)
+    """The next power of two, for which nets are evenest, within what clouds may have."""
+    return min(2 ** math.ceil(math.log2(max(count, SHADOW * _OF_SHADOW))), MOST_POINTS)
 
 
 @register_jitable
