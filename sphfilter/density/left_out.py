@@ -21,7 +21,9 @@ class LeftOut(NamedTuple):
     @classmethod
     def of(cls, new: Any, x: Floats, mass: Floats, log_p: Floats) -> "LeftOut | None":
         """Those of states with masses, of log-density `log_p` (K,), of which `new` knows too little."""
-        return cls(x, np.where(log_p - new.logpdf(x) > HIGHER, mass, 0.0)).read(np.zeros(len(x)))
+        some = log_p > -np.inf  # behind a wall neither knows of any
+        x, mass, known = x[some], mass[some], new.logpdf(x[some]) if some.any() else 0.0
+        return cls(x, np.where(log_p[some] - known > HIGHER, mass, 0.0)).read(np.zeros(len(x)))
 
     def read(self, log_weight: Floats) -> "LeftOut | None":
         """What is left, more than rounding, of log-likelihoods (K,) less the log-evidence."""

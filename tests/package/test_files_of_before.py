@@ -235,14 +235,14 @@ def test_a_sum_of_families_goes_on_as_points():
 
 def test_needs_of_seven_numbers():
     density = sf.initialize(sf.Gaussian(np.zeros(2), np.eye(2)), 80)
-    arrays = stored(replace(density, needs=Memory(4, 1, 2, 90, 512, 3, 5, True)))
+    arrays = stored(replace(density, needs=Memory(4, 1, 2, 90, 1024, 3, 5, True)))
     about = json.loads(str(arrays["about"]))
     assert density_from(arrays).needs == Memory(*about["needs"])
-    about["needs"] = [4, 1, 2, 90, 512, None, 0.25]  # clouds kept whether noise parts copies
+    about["needs"] = [4, 1, 2, 90, 1024, None, 0.25]  # clouds kept whether noise parts copies
     arrays["about"] = np.array(json.dumps(about))
     needs = density_from(arrays).needs
-    assert needs == Memory(4, 1, 2, 90, 512)
-    assert needs.told(1e-3, 1e-2, 512, 1).calm == 1
+    assert needs == Memory(4, 1, 2, 90, 1024)
+    assert needs.told(1e-3, 1e-2, 1024, 1).calm == 1
 
 
 def test_a_cloud_that_a_reading_began_without_a_size():

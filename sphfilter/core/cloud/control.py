@@ -231,10 +231,7 @@ def is_flagged(ahead, error, variance, unresolved, flagged):
 
 @register_jitable
 def points_for(count, error, target, n):
-    """Points of n states that have a target error where so many have an error, a power of two.
-
-    As many if it is NaN.
-    """
+    """Points of n states that have a target error where so many have an error; as many if it is NaN."""
     times = (error / target) ** (1.0 / _ORDER) if error == error else 1.0
     return max(power_of_two(count * min(times, MORE)), fewest_points(n))
 
