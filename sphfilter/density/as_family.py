@@ -1,7 +1,6 @@
 """Densities as one exponential family, and back on lattices."""
 
 import math
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -40,19 +39,13 @@ def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
 
 def defect_in(density: ParticleDensity, family: Family, misfit: float = 0.0) -> Defect:
     """The defect of the family, of a misfit, that stands for a density: see `family_of`."""
-    defect = density.defect
-    if defect is not None:
-        old: Any = density.family
-        return defect if old is family else defect_of(family, partial(_log_p_with, old, defect), defect)
+    old, told = density.family, density.defect
+    if old is not None and told is not None:
+        return told if old is family else defect_of(family, lambda X: old.log_p(X) + told.at(old, X), told)
     known = Defect.none(family, math.hypot(density.error, OF_MISFIT * misfit))
     if density.field is None or density.gaussian:
         return known
     return defect_of(family, logarithm(density), known)
-
-
-def _log_p_with(family: Family, defect: Defect, X: Floats) -> Floats:
-    """Logarithm (M,) of a family's density with its defect at states X (M, n)."""
-    return family.log_p(X) + defect.at(family, X)
 
 
 def moments_on_line(density: ParticleDensity) -> tuple[Floats, Floats]:

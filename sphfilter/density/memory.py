@@ -5,7 +5,7 @@ from functools import cache
 from typing import NamedTuple
 
 from ..config import FilterConfig, LogDensityScheme, SolverConfig
-from ..core.cloud.control import fewest_points, next_points, points_for, power_of_two
+from ..core.cloud.control import next_points, points_for, power_of_two
 from ..info import DOUBTFUL
 from ..lattice.level_set import fewest_particles
 
@@ -66,17 +66,16 @@ class Memory(NamedTuple):
 
     def cloud(self, target: float, dim: int) -> int:
         """Points that a cloud of so many states has for a target error."""
-        return self.points or max(power_of_two(usual_points(target)), fewest_points(dim))
+        return self.points or power_of_two(usual_points(target), dim)
 
     def cut(self, most: int) -> "Memory":
         """Memory whose next cloud has as many points as there is time for, and may have more at once."""
         return self._replace(points=power_of_two(most // 2 + 1), calm=0)
 
     def told(self, error: float, target: float, count: int, dim: int) -> "Memory":
-        """Memory after `count` points of so many states had an error.
+        """Memory after `count` points had an error: the next cloud has more at once, fewer after a while.
 
-        The next cloud has more at once, fewer after a while. What a single reading asks beyond that is its
-        own: it is made again on more points.
+        What a single reading asks beyond that is its own: it is made again on more points.
         """
         points, calm = next_points(self.cloud(target, dim), points_for(count, error, target, dim), self.calm)
         return self._replace(points=points, calm=calm)

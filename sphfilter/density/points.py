@@ -7,9 +7,10 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.cloud.control import decisive, error_by, expected_square, smoothed, square_of_more
+from ..core.cloud.lineages import carriers
 from ..core.cloud.pace import Bias
 from ..core.cloud.steps import Leg
-from ..core.cloud.weights import carriers, weighted_moments
+from ..core.cloud.weights import weighted_moments
 from ..core.small_matrices import cholesky, invert_lower
 
 NO_LINES = np.empty((0, 0), np.int64)  # of points each its own

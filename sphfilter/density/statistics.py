@@ -210,8 +210,9 @@ def _by_defect(density: "ParticleDensity", answer: Answer) -> Floats:
     away = x - family.mu if density.domain is None else density.domain.nearest(x - family.mu)
     off = defect.at(family, family.mu + away)
     heavier = w * np.exp(np.clip(off - w @ off, -_MOST_OFF, _MOST_OFF))
-    known = OF_SHIFT * (answer(_cloud(density, x, heavier)) - answer(_cloud(density, x, w)))
-    return np.hypot(known, _by_moving(density, answer, read_out(family, defect).unsigned))
+    here = answer(_cloud(density, x, w))
+    known = OF_SHIFT * (answer(_cloud(density, x, heavier)) - here)
+    return np.hypot(known, _moved(density, answer, (x, w), here, read_out(family, defect).unsigned))
 
 
 def _by_parts(density: "ParticleDensity", answer: Answer) -> Floats:
@@ -236,15 +237,21 @@ def _by_parts(density: "ParticleDensity", answer: Answer) -> Floats:
     return np.hypot(scale * np.std(answers, axis=0, ddof=1), smoothed)
 
 
-def _by_moving(density: "ParticleDensity", answer: Answer, error: float | None = None) -> Floats:
-    """Of a density without points of its own: by how much it changes as mean and variances are off.
+def _by_moving(density: "ParticleDensity", answer: Answer) -> Floats:
+    """Of a density without points of its own: by how much it changes as mean and variances are off."""
+    points = points_of(density, _POINTS, 0)
+    return _moved(density, answer, points, answer(_cloud(density, *points)), density.error)
 
-    Along each of its principal axes the mean by an error, its own if none is given, and the variance by √2 of
-    it: a change of the logarithm by a Hermite polynomial of the second degree does that which shifts a mean
-    by as much.
+
+def _moved(
+    density: "ParticleDensity", answer: Answer, points: tuple[Floats, Floats], here: Floats, error: float
+) -> Floats:
+    """By how much an answer, `here` that of points as they are, changes as these are moved by an error.
+
+    Along each of the principal axes the mean by the error, and the variance by √2 of it: a change of the
+    logarithm by a Hermite polynomial of the second degree does that which shifts a mean by as much.
     """
-    x, w = points_of(density, _POINTS, 0)
-    here, error = answer(_cloud(density, x, w)), density.error if error is None else error
+    x, w = points
     mean, cov = (density.mean(), density.cov()) if density.domain is not None else moments(x, w)
     values, axes = np.linalg.eigh(cov)
     off = x - mean if density.domain is None else density.domain.nearest(x - mean)

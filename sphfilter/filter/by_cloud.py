@@ -50,7 +50,7 @@ def by_cloud(
         )
     new = cloud_of(density, found.state, found.moments, capacity=n_particles, lost=density.lost)
     found = found.inheriting(state, moments_on_line(density))
-    error, doubt, code = found.error, found.doubt, Code.CLOUD
+    error, doubt, code = found.error, 2.0 * found.of_variance, Code.CLOUD
     new = new.noted(cloud=found.state, error=error, rough=0.0)  # of which `inherited` knows
     status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard deviations"
     target = config.target_error
@@ -88,11 +88,6 @@ class CloudReading(NamedTuple):
     def variance_error(self) -> float:
         """Error of the variances as a part of each, where it is most."""
         return math.hypot(self.of_variance, math.sqrt(2.0) * self.state.inherited)
-
-    @property
-    def doubt(self) -> float:
-        """By how much of itself the variance may be off."""
-        return 2.0 * self.of_variance
 
     def inheriting(self, before: CloudState, prior: tuple[Floats, Floats]) -> "CloudReading":
         """With what the reading leaves of an error that there was before there were points.

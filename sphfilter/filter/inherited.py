@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import Floats
-from ..core.cloud.weights import LINES
+from ..core.cloud.lineages import LINES
 from ..density.as_family import defect_in, may_miss, moments_on_line
 from ..density.defect import OF_UNSIGNED, ROUGH, Moments, Told, read_out, read_out_after, steepness, told_at
 from ..density.particle_density import ParticleDensity

@@ -18,9 +18,9 @@ import numpy as np
 from .._types import Floats, Ints
 from ..config import CloudScheme
 from ..core.cloud.control import SHADOW
+from ..core.cloud.lineages import LINES
 from ..core.cloud.move import affine, move
 from ..core.cloud.noise import LANES
-from ..core.cloud.weights import LINES
 from ..core.limits import GOLDEN, TINY
 from ..density.as_cloud import cloud_of
 from ..density.modes import ModeDensities

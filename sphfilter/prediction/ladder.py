@@ -34,7 +34,7 @@ Found = TypeVar("Found")
 #: Points that a target asks for, up to which a cloud comes before one family, by states: it takes .1 to .9
 #: times as long. Error² times time in four states, over that of families first: cart, sharp range, bearings,
 #: tracking .13, .13, .6, 1.4 asked .1, and .4, .5, 2.3, 1.5 asked .03 (`experiments benchmark`).
-_AS_FAMILIES = {1: 2**9, 2: 2**9, 3: 2**9, 4: 2**8}
+_AS_FAMILIES = {1: 2**9, 2: 2**9, 3: 2**9, 4: 2**8, 5: 2**12}  # and of more as of five
 #: As long as a lattice that makes the same error, by states: of one it pays sooner, and knows its tails; of
 #: three and more never. And as families of five and six, of thousands of nodes. (Of the same command.)
 _AS_LATTICES = {1: 2**11, 2: 2**13}
@@ -61,7 +61,7 @@ def prefers_cloud(dim: int, needs: Memory, target: float) -> bool:
 
 def becomes_cloud(dim: int, needs: Memory, target: float) -> bool:
     """Whether a cloud costs less than one family, and is all that is asked for."""
-    return not needs.smooth and (needs.points or usual_points(target)) <= _AS_FAMILIES.get(dim, 2**12)
+    return not needs.smooth and (needs.points or usual_points(target)) <= _AS_FAMILIES[min(dim, 5)]
 
 
 def best_family(

@@ -7,8 +7,9 @@ from scipy.stats import norm
 import sphfilter as sf
 from sphfilter.core.cloud.control import least_error
 from sphfilter.core.cloud.guide import look_ahead
+from sphfilter.core.cloud.lineages import LINES, carriers, of_variances
 from sphfilter.core.cloud.pace import Steps
-from sphfilter.core.cloud.weights import LINES, carriers, for_moments, of_variances
+from sphfilter.core.cloud.weights import for_moments
 from sphfilter.density.passage import moved_points, points_of_gaussian
 from sphfilter.density.points import NO_LINES, Carried, columns, moments
 from sphfilter.filter.bridged import bridged

@@ -190,15 +190,9 @@ def steps_of_shadow(steps, alike, least):
 
 
 @register_jitable
-def power_of_two(count):
-    """The next power of two, for which nets are evenest, within what clouds may have."""
-    return min(2 ** math.ceil(math.log2(max(count, SHADOW * _OF_SHADOW))), MOST_POINTS)
-
-
-@register_jitable
-def fewest_points(n):
-    """The fewest points of a cloud of n states, by whose shadow mean and covariance are known."""
-    return power_of_two(SHADOW * _OF_SHADOW * (n + 1))
+def power_of_two(count, n=0):
+    """The next power of two, for which nets are evenest, within what clouds of n states may have."""
+    return min(2 ** math.ceil(math.log2(max(count, SHADOW * _OF_SHADOW * (n + 1)))), MOST_POINTS)
 
 
 @register_jitable
@@ -233,7 +227,7 @@ def is_flagged(ahead, error, variance, unresolved, flagged):
 def points_for(count, error, target, n):
     """Points of n states that have a target error where so many have an error; as many if it is NaN."""
     times = (error / target) ** (1.0 / _ORDER) if error == error else 1.0
-    return max(power_of_two(count * min(times, MORE)), fewest_points(n))
+    return power_of_two(count * min(times, MORE), n)
 
 
 @register_jitable

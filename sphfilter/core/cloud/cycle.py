@@ -35,6 +35,7 @@ from .control import (
     step_after,
     steps_of_shadow,
 )
+from .lineages import carriers
 from .move import over
 from .noise import NORMAL, stored
 from .pace import FIRST_TRIED, MOST_LOST, Bias, chosen
@@ -45,7 +46,6 @@ from .way import begin, carry, carry_linear
 from .weights import (
     AWAY,
     any_beyond,
-    carriers,
     compared,
     effective,
     near_others,
