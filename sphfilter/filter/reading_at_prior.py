@@ -67,7 +67,8 @@ class ReadingAtPrior(NamedTuple):
         cell = density.form.cell
         states = None if cell is None and self.named is None else self.explained(density.x, cell)
         lines = not is_gaussian(self.measurement)
-        return Search(config.most_left_out, lines, states, config.time_budget is None)
+        surveyed = density.form.states(1, smooth=False) if lines or states is not None else None
+        return Search(config.most_left_out, lines, states, surveyed, config.time_budget is None)
 
     @property
     def named(self) -> Any:

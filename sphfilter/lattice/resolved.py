@@ -10,7 +10,7 @@ from scipy.special import gammaincc
 from .._types import Floats, OfStates
 from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS, Walls
-from ..core.limits import LARGEST_EXPONENT, SAID, TINY
+from ..core.limits import LARGEST_EXPONENT, ROUNDING, SAID, TINY
 from ..errors import PropagationError
 from . import field as lattice_field
 from .check import Misfit, felt, left_out, misfit
@@ -35,6 +35,7 @@ class Search(NamedTuple):
     most_left_out: float  # probability
     lines: bool = False  # is the likelihood asked along lines too?
     named: Floats | None = None  # states (M, n) that peaks may lie at
+    surveyed: tuple[Floats, Floats] | None = None  # states (M, n) and weights (M,) of the prior, if not its nodes
     finer: bool = True  # may it take more particles?
     walls: Walls = NO_WALLS  # where states end
 
@@ -97,7 +98,7 @@ def resolved(
         found = [peak for peak in found if peak.log_mass + math.log(felt(*moments, peak.x[None])[0]) > least]
         parts.append(_part_of(laid))
         tried.append(Resolved(laid, misfit(laid, product)))
-        survey = _survey(x, mass, log_weight)
+        survey = _survey(*(search.surveyed or (x, mass)), log_weight)
         if _missing(laid, survey)[1] > _BESIDE * (tail + search.most_left_out):
             parts.append(survey)
     best = _best(tried, parts, tail)
@@ -124,10 +125,11 @@ def _part_of(laid: LatticeDensity) -> _Part:
 
 
 def _survey(x: Floats, mass: Floats, log_weight: OfStates) -> _Part:
-    """Knowledge that the prior's nodes have of the posterior."""
+    """Knowledge that states of the prior have of the posterior, those of them that weigh anything."""
     weight = np.log(np.maximum(mass, TINY)) + np.maximum(log_weight(x), -1e250)
     w = np.exp(weight - weight.max())
-    return _Part(x, w / w.sum(), float(weight.max() + np.log(w.sum())), None)
+    some = w > ROUNDING
+    return _Part(x[some], w[some] / w.sum(), float(weight.max() + np.log(w.sum())), None)
 
 
 def _best(tried: list[Resolved], parts: list[_Part], tail: float) -> Resolved | None:
