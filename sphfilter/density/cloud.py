@@ -115,7 +115,7 @@ def smoothing_length(mass: Floats, cov: Floats) -> Floats:
 def points_of(density: "ParticleDensity", count: int, key: int) -> tuple[Floats, Floats]:
     """Quasi-random points (count, n) with weights (count,) that stand for a density of any kind."""
     if density.family is None:
-        return drawn(density, count, key), np.full(count, 1.0 / count)
+        return drawn(density, count, key)
     assert density.moments is not None
     x, mass = weighted_points(density.family.log_p, density.moments, count, key)
     x = matched(x, mass, *density.moments)
@@ -129,12 +129,12 @@ def matched(x: Floats, mass: Floats, mean: Floats, cov: Floats) -> Floats:
     return mean + np.einsum("ij,kj->ik", x - own_mean, change)
 
 
-def drawn(density: "ParticleDensity", count: int, key: int) -> Floats:
-    """Draw quasi-random points (count, n) from a density, by a key: with its mean and covariance."""
-    x = density.form.drawn(count, key)
+def drawn(density: "ParticleDensity", count: int, key: int) -> tuple[Floats, Floats]:
+    """Draw quasi-random points (count, n), with weights, from a density: with its mean and covariance."""
+    x, w = density.form.drawn(count, key)
     if density.domain is not None:
-        return x
+        return x, w
     try:
-        return matched(x, np.full(count, 1.0 / count), density.mean(), density.cov())
+        return matched(x, w, density.mean(), density.cov()), w
     except np.linalg.LinAlgError:  # flat along some combination of the states
-        return x
+        return x, w

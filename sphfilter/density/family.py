@@ -230,7 +230,7 @@ class Exponential(Shape):
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
         return self.laid.sample(size, rng)
 
-    def drawn(self, count: int, key: int) -> Floats:
+    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
         return self.laid.drawn(count, key)
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:

@@ -193,8 +193,9 @@ class GaussianPieces(Shape):
         own = rng.choice(len(self.pieces.w), size=size, p=self.pieces.w)
         return self.at(own, rng.random((size, self.pieces.mean.shape[1])))
 
-    def drawn(self, count: int, key: int) -> Floats:
-        return self.at(systematic(self.pieces.w, count), quasi_random(count, self.pieces.mean.shape[1], key))
+    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
+        own = systematic(self.pieces.w, count), quasi_random(count, self.pieces.mean.shape[1], key)
+        return self.at(*own), np.full(count, 1.0 / count)
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         """Particles of the density of some axes, by name: the same pieces there."""

@@ -17,6 +17,7 @@ from scipy import special
 from .._types import Floats, Ints, OfStates
 from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS, Walls
+from ..core.limits import TINY
 from ..core.sph.kernels import Kernel, kernel_variance
 from ..errors import PropagationError
 from ..lattice import field as lattice_field
@@ -28,6 +29,7 @@ from .quasi_random import quasi_random, spread_evenly, systematic
 
 LATTICE_SUPPORT = 1.2  # smoothing length on a lattice over its spacing: the coupling eta = h / dx of 000
 _CANDIDATES = 8  # states in cells over points drawn; measured: half, twice change errors by .9, .7 times
+_OF_MODES = 1.0 / 8.0  # of points, drawn from all modes as often: so much less the others are worth
 _CELL_POINTS = 2**17  # in all cells, up to 128 in each and at least 16: 8 n bytes each = n MB
 #: Mean (n,) and covariance (n, n).
 Moments: TypeAlias = tuple[Floats, Floats]
@@ -83,8 +85,8 @@ class Shape(Protocol):
         """Expectation of a function, by its `states`."""
         return float(w @ function(X))
 
-    def drawn(self, count: int, key: int) -> Floats:
-        """Quasi-random points (count, n) by a key, without weights."""
+    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
+        """Quasi-random points (count, n) by a key, and their weights (count,)."""
 
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
         """Draw states, shape (size, n)."""
@@ -163,10 +165,11 @@ class Kernels(Shape):
         offsets = mixture.drawn(mix.kernel.kind, rng.random((size, self.x.shape[1] + 1)))
         return mix.points(offsets, rng.choice(len(mass), size=size, p=mass))
 
-    def drawn(self, count: int, key: int) -> Floats:
+    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
         mix = self.mixture
         offsets = mixture.drawn(mix.kernel.kind, quasi_random(count, self.x.shape[1] + 1, key))
-        return mix.points(offsets, systematic(mix.mass[: len(self.x)], count))
+        points = mix.points(offsets, systematic(mix.mass[: len(self.x)], count))
+        return points, np.full(count, 1.0 / count)
 
     def raw_moment(self, powers: Ints, centre: Floats) -> float | None:
         return mixture.raw_moment(self.mixture, powers, centre) if self.kind == "mixture" else None
@@ -240,8 +243,11 @@ class Polynomials(Shape):
         p = self.pdf(X)
         return X[rng.choice(len(X), size=size, p=p / p.sum())]
 
-    def drawn(self, count: int, key: int) -> Floats:
-        """Points in the cells: of many states in each, as many as the density says."""
+    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
+        """Points in the cells: of many states in each, as many as the density says; some of all modes alike.
+
+        Of a mode that holds next to nothing, and that a reading may make much of, points know then, too.
+        """
         cells, n = len(self.cells), len(self.field.mu)
         if not cells:
             raise PropagationError(
@@ -250,8 +256,15 @@ class Polynomials(Shape):
         each = 2 ** math.ceil(math.log2(max(_CANDIDATES * count / cells, 2.0)))
         X = self.in_cells(spread_evenly(each, n))
         p = self.pdf(X) * inside(self.walls, X)
-        taken = systematic(p / p.sum(), count)
-        return X[taken] + (quasi_random(count, n, key) - 0.5) * each ** (-1.0 / n) @ self.field.A.T
+        p /= p.sum()
+        mode = np.repeat(lattice_field.modes(self.field, self.cells, p.reshape(cells, each).sum(1)), each)
+        held, often = np.bincount(mode, p), p
+        if (many := np.count_nonzero(held)) > 1:
+            often = p * (1.0 - _OF_MODES + _OF_MODES / many / np.maximum(held, TINY)[mode])
+        taken = systematic(often, count)
+        w = p[taken] / often[taken]
+        points = X[taken] + (quasi_random(count, n, key) - 0.5) * each ** (-1.0 / n) @ self.field.A.T
+        return points, w / w.sum()
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         """Particles of the density of some axes, by name: summed over the others, on a lattice of its own."""
@@ -363,8 +376,9 @@ class Folded(Shape):
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
         return self.domain.fold(self._seen.sample(size, rng))
 
-    def drawn(self, count: int, key: int) -> Floats:
-        return self.domain.fold(self._seen.drawn(count, key))
+    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
+        x, w = self._seen.drawn(count, key)
+        return self.domain.fold(x), w
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         return self._seen.marginal(axes)

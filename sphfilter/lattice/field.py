@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._types import Bools, Floats
+from .._types import Bools, Floats, Ints
 from ..core.field.field import Field, evaluate
 from ..core.field.field import gradient as field_gradient
 from ..core.field.stencils import stencils
@@ -44,3 +44,19 @@ def inside_lattice(field: Field, x: Floats) -> Bools:
 def extrapolated_mass(field: Field, x: Floats, mass: Floats, walls: Walls = NO_WALLS) -> float:
     """Probability of weighted states x (N, n) where a field keeps no node: its values there are a guess."""
     return max(0.0, 1.0 - float(mass[inside_lattice(field, moved_in(walls, field.A, x))].sum()))
+
+
+def modes(field: Field, x: Floats, p: Floats) -> Ints:
+    """Numbers (M,) of the cells that are the modes of those at x (M, n), of probabilities p (M,).
+
+    From a cell one goes to the highest of those that touch it, until none is higher.
+    """
+    from scipy.spatial import cKDTree  # on use: import time
+
+    pairs = cKDTree((x - field.mu) @ field.inverse.T).query_pairs(1.5, p=np.inf, output_type="ndarray")
+    low, high = np.take_along_axis(pairs, np.argsort(p[pairs], axis=1), axis=1).T
+    order, up = np.argsort(p[high], kind="stable"), np.arange(len(p))
+    up[low[order]] = high[order]  # the last, the highest, stays
+    while (up[up] != up).any():
+        up = up[up]
+    return up

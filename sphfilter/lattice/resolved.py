@@ -35,7 +35,7 @@ class Search(NamedTuple):
     most_left_out: float  # probability
     lines: bool = False  # is the likelihood asked along lines too?
     named: Floats | None = None  # states (M, n) that peaks may lie at
-    surveyed: tuple[Floats, Floats] | None = None  # states (M, n) and weights (M,) of the prior, if not its nodes
+    surveyed: tuple[Floats, Floats] | None = None  # states (M, n), weights (M,) of the prior; or its nodes
     finer: bool = True  # may it take more particles?
     walls: Walls = NO_WALLS  # where states end
 

@@ -6,6 +6,7 @@ import pytest
 import sphfilter as sf
 from sphfilter.density.as_cloud import cloud_density
 from sphfilter.density.as_family import gaussians_of, may_miss, pieces_density
+from sphfilter.density.cloud import points_of
 from sphfilter.density.pieces import Pieces
 
 NORMAL = sf.Gaussian([0.5], [[0.4]])
@@ -51,3 +52,20 @@ def test_what_is_known_to_be_gaussian_misses_nothing():
     assert [name for name, density in DENSITIES.items() if gaussians_of(density)] == ["family", "pieces"]
     assert not may_miss(FAMILY) and not may_miss(DENSITIES["lattice"])
     assert may_miss(FAMILY.noted(gaussian=False))
+
+
+@pytest.mark.parametrize(("n", "count"), [(1, 512), (2, 4096)])
+def test_points_of_a_lattice_know_of_a_mode_that_holds_next_to_nothing(n, count):
+    """In a tail of 4e-7 one of 1e-4 or 1e-3: of 512 points none stood for it, where each weighs as much."""
+    far, part = 5.0 * np.eye(n)[0], 10.0 ** (n - 5)
+
+    def log_likelihood(z, X, t):
+        at_rest, mode = np.sum(X**2, axis=1), np.sum((X - far) ** 2, axis=1) / 0.05
+        return np.logaddexp(np.log(1.0 - part), np.log(part / 0.05 ** (n / 2)) + 0.5 * (at_rest - mode))
+
+    sensor = sf.LikelihoodMeasurement(log_likelihood, peaks=lambda z: far[None])
+    start = sf.initialize(sf.Gaussian(np.zeros(n), np.eye(n)), 400)
+    density, _ = sf.update(start, sensor, [0.0])
+    x, w = points_of(density, count, 3)
+    assert w[x[:, 0] > 4.0].sum() == pytest.approx(part, rel=0.1)
+    assert 1.0 / np.sum(w**2) > 0.85 * count

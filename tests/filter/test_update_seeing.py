@@ -99,7 +99,7 @@ def test_modes_thinner_than_the_lattice(waves, count):
     ("n", "waves", "z"), [(1, 22.0, -0.43), (2, 15.0, -0.43), (2, 15.0, 0.2), (2, 22.0, 0.9)]
 )
 def test_modes_that_no_node_leads_to(n, waves, z):
-    """Where a lattice held the modes that were found from nodes, half of them to five in six were overlooked."""
+    """Of modes that were found from nodes a lattice held one in six to half."""
     sensor = sf.GaussianMeasurement(lambda X, t: np.sin(waves * X[:, :1]), [[9e-4]], vectorized=True)
     density, info = sf.update(prior(n), sensor, [z])
     off = wrong(density, info.log_evidence, along_first(sensor, [z], n))
