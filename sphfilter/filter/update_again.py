@@ -213,8 +213,8 @@ def _on_more_points(
     (prior, posterior, info), best, before = once, once, prediction.before
     start, finer = prior if before is None else before, True
     target, known, as_it_was = target_of(prior, config, None), start.needs, prior.read_out == "cloud"
-    nothing = info.reason == NOTHING_CAME or (before is None and as_it_was)
-    if target is None or known is None or config.time_budget or nothing:
+    in_vain = start.error > EDGE or (before is None and as_it_was)  # it lies elsewhere, or is all there is
+    if target is None or known is None or config.time_budget or in_vain or info.reason == NOTHING_CAME:
         return once
     for tries in range(TRIES):
         cloud = posterior.cloud
