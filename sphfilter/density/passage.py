@@ -11,7 +11,7 @@ from ..core._views import as_compiled
 from ..core.cloud import bridge
 from ..core.cloud.blocks import blocks_of, centres
 from ..core.cloud.curve import along_curve, places
-from ..core.cloud.cycle import PARTS, Bounds, Standing
+from ..core.cloud.cycle import PARTS, Bounds, Standing, nothing_begun
 from ..core.cloud.cycle import put_through as through
 from ..core.cloud.linearise import LINEARISE, linearised
 from ..core.cloud.maps import LINEARISE_MAP, MAPPED
@@ -140,9 +140,9 @@ def put_through(
 ) -> Through:
     """Readings put through a cloud and its shadow of so many points, as far as each of them is usual.
 
-    The state is as a reading has left it, with errors that are its own; times (K + 1,), seconds, begin with
-    that of the cloud; readings are of a sensor (K, k) at the other times, least (K,) the steps of each
-    interval, counts and calm as of `Memory`.
+    The state is as a reading has left it, or has begun a way, with errors that are its own; times (K + 1,),
+    seconds, begin with that of the cloud; readings are of a sensor (K, k) at the other times, least (K,) the
+    steps of each interval, counts and calm as of `Memory`.
     """
     led = [(count, model.dim) in _LED_BEFORE for count in counts]
     nets = [
@@ -160,14 +160,25 @@ def put_through(
     for points in (state.points, state.shadow):
         standing += [columns(points.x), points.w, _lineage_of(points)]
     standing += [state.size, *state.told, state.pace.step, state.pace.stiff, counts[0], calm, state.age]
-    motion = leg, address_of(STIFF_FLOW), changes
-    about = motion, readings, (times, least), Standing(*standing), tuple(nets), bounds, places(model.dim)
+    motion, begun = (leg, address_of(STIFF_FLOW), changes), (_begun(state.points), _begun(state.shadow))
+    given = motion, readings, (times, least), (Standing(*standing), begun)
+    about = *given, tuple(nets), bounds, places(model.dim)
     lead = address_of(bridge.BRIDGE) if any(led) else NOWHERE_AT
     with surfacing():
         end, done, *sides, rows = through((*map(address_of, PARTS), lead), *about)
     after, before = (Standing(*side) for side in sides)
     rest = Through(end, done - 1, _state_of(before), before.points, before.calm, None, rows)
     return Through(end, done, _state_of(after), after.points, after.calm, rest, rows)
+
+
+def _begun(points: Points) -> tuple[Any, ...]:
+    """The way that points have begun, as `core.cloud.way.begin` returns it; empty, of points without one."""
+    path = points.path
+    if path is None:
+        return tuple(nothing_begun(points.x.shape[1]))
+    (kernel,), (u,) = path.passages, path.u
+    begin = columns(path.x), columns(points.x), columns(u), points.w
+    return *begin, path.block, kernel.start, kernel.lower, kernel.flow, path.older
 
 
 def nets_of(count: int, dim: int) -> tuple[Floats, ...]:

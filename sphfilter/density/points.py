@@ -135,6 +135,13 @@ class CloudState(NamedTuple):
     age: int = 0  # predictions since the start: its random numbers hang on it, and on no clock
     origin: Origin | None = None  # as long as lineages go back to it
 
+    @property
+    def begins(self) -> bool:
+        """Whether a reading has left it, or it has just become points, and all errors are its own."""
+        path = self.points.path
+        begins = path is None or all(passage.model is None for passage in path.passages)
+        return begins and self.inherited == 0.0
+
 
 class Carried(NamedTuple):
     """States x (N, n), weights w (N,) of sum one, the evidence, and how many independent points they are."""

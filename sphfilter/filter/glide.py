@@ -148,8 +148,7 @@ class _Run:
             return False
         while (k := len(self.reached.rows) - first) < len(Z):
             before = self.reached
-            left = before.state.points.path is None and before.state.inherited == 0.0  # as a reading does
-            if left and not unusual and not self._raised:
+            if before.state.begins and not unusual and not self._raised:
                 try:
                     unusual, over = self._at_once(times[k:], Z[k:])
                 except (SystemError, NumbaError):  # a Ctrl-C, or a fault of the library
@@ -206,7 +205,7 @@ class _Run:
         k = found.done - 1
         (t0, t1), (_, _, x, P, *_) = times[k : k + 2].tolist(), found.rows
         about = [(self._model, t1)], t0, self._stacked(Z[k], t1), (x[k], P[k]), self._target
-        return error_added(found.before.state, found.state, *about)
+        return error_added(found.before.state if k else self.reached.state, found.state, *about)
 
     def _in_turn(self, span: Sequence[float], z: Floats) -> bool:
         """Put the next reading through step by step; false where a filter would do more."""

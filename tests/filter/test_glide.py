@@ -103,6 +103,19 @@ SENSORS = {
 }
 
 
+@pytest.mark.parametrize("scene", ["van_der_pol", "cart", "made_up/ring"])
+def test_a_record_of_usual_readings_never_comes_up(monkeypatch, scene):
+    """From the Gaussian that it begins with, too."""
+    made, times, z = record(scene, 0.1, 8)
+    at_once, one_by_one, alone = made(), made(), []
+    monkeypatch.setattr(glide._Run, "_in_turn", lambda self, *given: alone.append(1))
+    found = at_once.run(times, z)
+    assert not alone
+    expected = step_by_step(one_by_one, times, z)
+    np.testing.assert_array_equal(found.x, expected["x"])
+    np.testing.assert_array_equal(found.P, expected["P"])
+
+
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_a_long_record_of_any_sensor_has_the_bits_of_its_steps(sensor):
     made, _, _ = record("van_der_pol", 0.1, 2)

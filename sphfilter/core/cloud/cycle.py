@@ -121,14 +121,16 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
     `parts` are addresses of `PARTS`; `motion` is a model's leg, what moves points along its drift where
     that is stiff, and of a linear one, whose leg is not called, Φ (K, n, n), offset (K, n) and L (K, n, n)
     over each interval; `sensor` is a `Reader` and what it reads, (K, k); `spans` are times (K + 1,),
-    seconds, first that of the cloud, and the least steps of each interval; `nets` are normals (n, count) of
-    the guide, the begin and the motion, of the cloud and of its shadow; `curve` is a table and its bits.
+    seconds, first that of the cloud, and the least steps of each interval; `standing` is a `Standing` and, of
+    points that have begun a way already, what `begin` returns of the cloud and of its shadow; `nets` are
+    normals (n, count) of the guide, the begin and the motion of both; `curve` is a table and its bits.
     Returns how the record ends, how many readings are done, the values of a `Standing` after the last of
     them and before it, and of each reading mean and covariance before and after it, the log-evidence and
     its error, the errors of the mean and the variances, the innovation with its covariance where h is a
     function, and whether it or its prediction is flagged.
     """
     (leg, stiff_flow, changes), (reader, Z), (times, least) = motion, sensor, spans
+    standing, begun = standing
     (K, k), (n, count) = Z.shape, nets[0][0].shape
     m, P, x, C = np.empty((K, n)), np.empty((K, n, n)), np.empty((K, n)), np.empty((K, n, n))
     evidence, unsure, error, wider = np.empty(K), np.empty(K), np.empty(K), np.empty(K)
@@ -143,7 +145,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         about = parts, own, _change(changes, j, n), _reads(reader, Z[j], span[1])
         fewer = steps_of_shadow(own.steps, own.flow == stiff_flow, least[j])
         few = over(own, own.flow, *span, fewer)
-        one, two = _both(about, few, s, nets, curve)
+        one, two = _both(about, few, s, begun, nets, curve)
         ahead, squares = _told(s, one, two, count)
         error[j], wider[j] = errors_told(*squares[:2], one.found[8], one.found[7], count, bias)
         if not (one.usual and two.usual and error[j] == error[j]):
@@ -166,9 +168,11 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         done += 1
         end = MORE if points != count else ALL
         if max(error[j], told) > bounds.missed:
-            few = _again(leg, stiff_flow, span, step, stiff, least[j])
-            added = _added((parts, few, *about[2:]), before, one, nets[1], bounds.target, curve)
+            few, added = _again(leg, stiff_flow, span, step, stiff, least[j]), np.nan
+            if begun[0][0].size == 0:  # else it is the filter's
+                added = _added((parts, few, *about[2:]), before, one, nets[1], bounds.target, curve)
             end = end if added <= bounds.missed else MISSED if added > bounds.missed else JUDGE
+        begun = (nothing_begun(n), nothing_begun(n))
     return (
         end,
         done,
@@ -192,7 +196,7 @@ def _added(about, s, one, nets, target, curve):
     n, many = nets[0].shape
     x, w, line = taken(s.x, systematic(s.w, many, 0.5)), np.full(many, 1.0 / many), s.lineage[:0]
     keys = stored(s.age, 1), stored(s.age + 1, 3)
-    few = _cycled(about, (x, w, line), nets, keys, curve)
+    few = _cycled(about, (x, w, line), nothing_begun(n), nets, keys, curve)
     if not few.usual:
         return np.nan
     first, second, most = compared(one.found[4], one.found[5], few.found[4], few.found[5])
@@ -245,25 +249,34 @@ def _paced(parts, leg, stiff_flow, span, s, least, bounds, curve):
 
 
 @jit
-def _both(about, few, s, nets, curve):
+def nothing_begun(n):
+    """What stands for what `begin` returns, of points that have not begun a way."""
+    x, middle, lower = np.empty((n, 0)), np.empty((0, n)), np.empty((0, n, n))
+    block, older = np.empty(0, np.int64), np.empty((0, 0), np.int64)
+    return x, x, x, np.empty(0), block, middle, lower, lower, older
+
+
+@jit
+def _both(about, few, s, begun, nets, curve):
     """Cloud and shadow after a cycle, of few steps for that; of no worth where the cloud is of none."""
     keys = stored(s.age, 0), stored(s.age + 1, 2)
-    one = _cycled(about, (s.x, s.w, s.lineage), nets[0], keys, curve)
+    one = _cycled(about, (s.x, s.w, s.lineage), begun[0], nets[0], keys, curve)
     keys = stored(s.age, 1), stored(s.age + 1, 3)
     cloud = s.few_x, s.few_w, s.few_lineage
-    two = _cycled((about[0], few, about[2], about[3]), cloud, nets[1], keys, curve)
+    two = _cycled((about[0], few, about[2], about[3]), cloud, begun[1], nets[1], keys, curve)
     if few.steps < about[1].steps and any_beyond(two.y, one.y):
-        two = _cycled(about, cloud, nets[1], keys, curve)
+        two = _cycled(about, cloud, begun[1], nets[1], keys, curve)
     return one, two
 
 
 @jit
-def _cycled(about, cloud, nets, keys, curve):
-    """A cloud x (n, N), w (N,) of lineages (readings, N) over an interval and a reading."""
+def _cycled(about, cloud, begun, nets, keys, curve):
+    """A cloud x (n, N), w (N,) of lineages (readings, N), or its begin, over an interval and a reading."""
     parts, leg, change, reader = about
     first, second = nets[1], nets[2]
     (n, count), key = first.shape, keys[0]
-    begun = _begin_at(parts[0])(cloud[0], cloud[1], cloud[2], count, key, first, *curve)
+    if begun[0].size == 0:
+        begun = _begin_at(parts[0])(cloud[0], cloud[1], cloud[2], count, key, first, *curve)
     start, x, u, w, block, middle, lower, flow, older = begun
     kernel = Part(middle, middle, flow, lower, np.empty((1, 0, 0)))
     linear = leg.drift == NOWHERE_AT
