@@ -1,6 +1,6 @@
 """A reading beside a prior: its likelihood, and how far it is from what was predicted."""
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +17,8 @@ from ..model.measurements import GaussianSensor, Reading, Sensor, block, is_gaus
 from ..validate import state_rows
 from .solutions import solutions
 
+#: A density after a reading, and fields of the info of that.
+Posterior: TypeAlias = tuple[ParticleDensity, dict[str, Any]]
 OUTLYING = 5.0  # standard deviations from its prediction: 2 Φ(-5) = 6e-7 of numbers read lie so far out
 
 

@@ -42,7 +42,7 @@ from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.domain import Domain
 from ..model.dynamics import Dynamics
 from ..model.sde import SDE
-from ._shared import blow_up, carried_off, skip_notes
+from ._shared import Predicted, blow_up, carried_off, skip_notes
 from .time_slices import slices_at
 
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
@@ -55,7 +55,7 @@ def propagate(
     scheme: CloudScheme,
     n_particles: int | None = None,
     target: float = 0.0,
-) -> tuple[ParticleDensity, PredictInfo]:
+) -> Predicted:
     """Carry a density to time t1 as weighted points, and a smaller cloud beside it that tells the error.
 
     Steps are of weak order three where the noise does not depend on the state, else two; none are needed for

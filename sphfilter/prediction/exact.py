@@ -11,13 +11,14 @@ from ..info import PredictInfo
 from ..lattice.level_set import lattice_reach, lay
 from ..model.discretization import linear_transition
 from ..model.dynamics import Dynamics
+from ._shared import Predicted
 
 _GAUSSIAN = 1e-2  # largest distance of log p from a quadratic: exp(.01) = 1.01, the density within 1 %
 
 
 def propagate_exactly(
     density: ParticleDensity, model: Dynamics, t1: float, n_particles: int
-) -> tuple[ParticleDensity, PredictInfo] | None:
+) -> Predicted | None:
     """Return (density, info) at t1 by the matrix exponential, or None where the density is not Gaussian."""
     if density.field is None:
         return None

@@ -55,7 +55,7 @@ from ..lattice.level_set import (
 from ..model.compile import surfacing
 from ..model.derived import scales
 from ..model.sde import SDE
-from ._shared import blow_up, skip_notes
+from ._shared import Predicted, blow_up, skip_notes
 from .again import FINEST, MOST
 from .time_slices import drift_slices, noise_samples
 
@@ -104,7 +104,7 @@ def propagate(
     n_particles: int,
     allowed: float = 0.0,
     most_work: float = math.inf,
-) -> tuple[ParticleDensity, PredictInfo]:
+) -> Predicted:
     """Carry a density that has a `field` to time t1, seconds, on lattices of at most n_particles nodes.
 
     Raises `PropagationError` where the drift is not finite where particles are, the lattice cannot hold the

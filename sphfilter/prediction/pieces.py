@@ -12,11 +12,10 @@ from ..density.pieces import Pieces, pieces_of, root_of
 from ..info import PredictInfo
 from ..model.discretization import linear_transition
 from ..model.dynamics import Dynamics
+from ._shared import Predicted
 
 
-def carried_pieces(
-    density: ParticleDensity, model: Dynamics, t1: float, allowed: float
-) -> tuple[ParticleDensity, PredictInfo]:
+def carried_pieces(density: ParticleDensity, model: Dynamics, t1: float, allowed: float) -> Predicted:
     """Carry pieces to time t1, and merge those that noise has made alike."""
     own: Any = density.pieces
     moved = _linearly(own, model, t1 - density.t)

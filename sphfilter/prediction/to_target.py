@@ -10,6 +10,7 @@ from ..density.memory import AIMED, error_budget, min_nodes
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError, StoppedError
 from ..info import Code, PredictInfo
+from ._shared import Predicted
 from .again import MOST
 
 
@@ -37,7 +38,7 @@ ORDER = 1.5  # the error falls about as N^-1.5
 
 def carried_to_target(
     density: ParticleDensity,
-    predicted: Callable[[int], tuple[ParticleDensity, PredictInfo]],
+    predicted: Callable[[int], Predicted],
     target: float,
     n_particles: int,
     time: Time = ALWAYS,
