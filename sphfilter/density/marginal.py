@@ -51,20 +51,7 @@ def marginal_on_lattice(
 
     In coordinates that whiten the field's lattice, those axes first, the states with given values there fill
     planes; sums over the points of a lattice in such a plane are spectrally accurate, as those over the
-    nodes are.
-
-    Parameters
-    ----------
-    field : Field
-    x, mass : ndarray, shape (N, n), (N,)
-        States and masses of its nodes.
-    axes : list of int, length k
-    walls : tuple of ndarray, optional
-        Where the density ends, low and high, shape (n,) each.
-
-    Returns
-    -------
-    Laid
+    nodes x (N, n) of mass (N,) are. Walls are where the density ends.
     """
     k, order = len(axes), np.array([*axes, *(axis for axis in range(x.shape[1]) if axis not in axes)])
     factor = np.linalg.cholesky((field.A @ field.A.T)[np.ix_(order, order)])

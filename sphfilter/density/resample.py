@@ -157,10 +157,7 @@ def regrid(
 ) -> tuple[ParticleDensity, ResampleInfo]:
     """Put density times exp(log_weight(X)) on a new lattice and normalise it.
 
-    Raises
-    ------
-    PropagationError
-        The product is zero wherever the density has particles.
+    Raises `PropagationError` if the product is zero wherever the density has particles.
     """
     if not isinstance(scheme, PaperScheme):
         return _relaid(density, n_particles, scheme, log_weight)

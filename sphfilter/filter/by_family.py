@@ -39,10 +39,7 @@ def family_update(
 ) -> tuple[ParticleDensity, dict[str, Any], float]:
     """Posterior and what is said of it, and the error in standard deviations that it adds to the prior's.
 
-    Raises
-    ------
-    PropagationError
-        No family holds it, or the error of that would be above `most`.
+    Raises `PropagationError` if no family holds it, or the error of that would be above `most`.
     """
     if density.read_out == "cloud" or (density.domain is not None and density.domain.walled.any()):
         raise PropagationError(
@@ -112,13 +109,9 @@ def _errors_beyond_nodes(
     see it.
 
     At these the posterior and its family weigh the prior, and the difference of the weights tells by how much
-    mean, covariance and integral differ: in tails, too, which lie beyond all nodes.
-
-    Raises
-    ------
-    PropagationError
-        A state explains the reading as well and is nowhere near, or too few points lie where the posterior is
-        to tell.
+    mean, covariance and integral differ: in tails, too, which lie beyond all nodes. Raises `PropagationError`
+    if a state explains the reading as well and is nowhere near, or too few points lie where the posterior is
+    to tell.
     """
     key = stored_key(age_of(density), _ELSEWHERE)
     X, mass = points_of(replace(density, domain=None), _LOOKED_AT, key)

@@ -19,16 +19,8 @@ _LIGHT = 1e-5  # what the lightest, dropped, carry together; measured: half, twi
 
 
 def by_pieces(density: ParticleDensity, asked: ReadingAtPrior, target: float) -> Posterior:
-    """Each Gaussian of a sum times the reading by Kalman's rule; those that it makes alike are merged.
-
-    Parameters
-    ----------
-    density : ParticleDensity
-        Of pieces.
-    asked : ReadingAtPrior
-        Of a sensor that is linear.
-    target : float
-        Standard deviations, rms over the states.
+    """Each Gaussian of a sum times the reading of a linear sensor by Kalman's rule; those that it makes alike
+    are merged, as far as a target error allows, standard deviations, rms over the states.
     """
     prior, sensor = density.pieces, asked.measurement
     assert prior is not None and is_gaussian(sensor) and sensor.H is not None

@@ -42,15 +42,9 @@ def propagate(
 ) -> Predicted:
     """Carry a density to time t1, seconds, by the log-density where that can be, else as a cloud.
 
-    Parameters
-    ----------
-    most : int, optional
-        Particles at most where the log-density needs more than `n_particles`.
-    allowed : float
-        Error that is shared out over steps and lattices; see `log_density.propagate`.
-    most_work : float
-        Evaluations of the drift, after which the log-density is given up: whoever bounds them goes on with a
-        cloud, which knows its error.
+    The log-density may have `most` particles where it needs more than `n_particles`, and an `allowed` error,
+    as of `log_density.propagate`. After `most_work` evaluations of the drift it is given up: whoever bounds
+    them goes on with a cloud, which knows its error.
     """
     if density.read_out == "cloud":
         laid = _on_lattice(density, n_particles)

@@ -61,17 +61,10 @@ def fits_density(density: ParticleDensity) -> str:
 def propagate(
     density: ParticleDensity, model: SDE, t1: float, scheme: FamilyScheme, n_particles: int
 ) -> Predicted:
-    """Carry a density to time t1 as one exponential family.
+    """Carry a density to time t1, seconds, as one exponential family.
 
-    Returns
-    -------
-    ParticleDensity, PredictInfo
-
-    Raises
-    ------
-    PropagationError
-        No polynomial follows the density, the drift is not finite where it is, or more steps are needed than
-        allowed: says when, where, and what to change.
+    Raises `PropagationError` if no polynomial follows the density, the drift is not finite where it is, or
+    more steps are needed than allowed: says when, where, and what to change.
     """
     reason = why_not(model, density)
     if reason:

@@ -74,24 +74,10 @@ def best_family(
 ) -> tuple[Found, int, float] | None:
     """The first degree of a family whose added error is allowed, else the best; None where none will do.
 
-    One that is somewhat off is taken where what comes next would not be better.
-
-    Parameters
-    ----------
-    density : ParticleDensity
-        That the step begins with.
-    target : float
-        Standard deviations.
-    needs : Memory
-    first : int
-        Degree that is tried first.
-    attempt : callable
-        A degree, and the most error, to what comes of the step and the error that it adds; it may raise
-        `PropagationError`.
-
-    Returns
-    -------
-    What came of the step, its degree, and the error over its budget; or None
+    One that is somewhat off is taken where what comes next would not be better. Of a step that begins with a
+    density, `attempt` makes what comes of a degree, and the error that it adds, standard deviations, of the
+    most that it may; it may raise `PropagationError`. The degree `first` is tried first. Returns what came of
+    the step, its degree, and the error over its budget.
     """
     allowed = error_budget(density.error, target) * needs.shared
     best, most = None, tolerated_excess(density.dim) * allowed
@@ -108,28 +94,10 @@ def best_family(
 
 
 def propagate(density: ParticleDensity, model: Dynamics, t1: float, target: float, time: Time) -> Predicted:
-    """Carry a density to time t1 as cheaply as the target error allows.
+    """Carry a density to time t1, seconds, as cheaply as the target error allows.
 
-    Parameters
-    ----------
-    density : ParticleDensity
-    model : SDE or DiscreteModel
-    t1 : float
-        Seconds.
-    target : float
-        Error of the mean, in standard deviations, that the record may have.
-    time : Time
-        What a time budget leaves.
-
-    Returns
-    -------
-    ParticleDensity, PredictInfo
-        The info's scheme names the rung.
-
-    Raises
-    ------
-    PropagationError
-        The model carries the density to infinity.
+    The info's scheme names the rung. The target is the error of the mean, in standard deviations, that the
+    record may have. Raises `PropagationError` if the model carries the density to infinity.
     """
     needs = (density.needs or Memory()).gone_on()
     if density.gaussian and model.linear and model.domain.unbounded:

@@ -5,14 +5,7 @@ from time import perf_counter
 from typing import Any, Literal, NamedTuple
 
 from .._types import Interval
-from ..config import (
-    AnyConfig,
-    CloudScheme,
-    FamilyScheme,
-    LogDensityScheme,
-    PaperScheme,
-    SolverConfig,
-)
+from ..config import AnyConfig, CloudScheme, FamilyScheme, LogDensityScheme, PaperScheme, SolverConfig
 from ..density.cloud import passages_of
 from ..density.memory import Memory
 from ..density.particle_density import ParticleDensity
