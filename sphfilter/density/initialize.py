@@ -125,9 +125,9 @@ def _to_target(
     distribution: Distribution, box: ArrayLike | None, config: AnyConfig | None, t: float, domain: DomainLike
 ) -> ParticleDensity:
     """A Gaussian as one family, another distribution on as many nodes as a target error asks for."""
-    known = None if domain is None else Domain.of(domain, len(_box_of(distribution, box)))
-    ladder = config is None or config.scheme == "auto"
     n = len(_box_of(distribution, box))
+    known = None if domain is None else Domain.of(domain, n)
+    ladder = config is None or config.scheme == "auto"
     if ladder and not degrees(n):
         raise ModelError(
             f'n_particles="auto" carries densities of up to {MOST} states, and {n} are more: leave some out '

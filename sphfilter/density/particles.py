@@ -43,11 +43,5 @@ def particles_with(
     if scheme.masses == "collocation":
         solved = collocation_masses(x, h, values[kept], scheme.kernel)
         mass = mass if solved is None else solved
-    return ParticleDensity(
-        x=x,
-        mass=mass,
-        h=np.full(len(x), h),
-        kernel=scheme.kernel,
-        read_out=scheme.read_out,
-        **density,
-    )
+    of_scheme: dict[str, Any] = {"kernel": scheme.kernel, "read_out": scheme.read_out}
+    return ParticleDensity(x=x, mass=mass, h=np.full(len(x), h), **of_scheme, **density)

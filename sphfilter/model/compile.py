@@ -8,6 +8,7 @@ import dis
 import functools
 import inspect
 import itertools
+import math
 import threading
 import warnings
 from collections.abc import Callable, Sequence
@@ -77,6 +78,14 @@ class surfacing:
 def batch(function: Callable[..., None]) -> BatchFunction:
     """Compile one batch function of the package's own, without a disk cache (closures differ per model)."""
     return njit(BATCH, error_model="numpy")(function)
+
+
+def filled(fill: BatchFunction, X: Floats, t: float, p: Floats, *shape: int) -> Floats:
+    """Values (N, *shape) of a batch function at states X (N, n), of data p."""
+    out = np.empty((len(X), math.prod(shape)))
+    with surfacing():
+        fill(X, float(t), p, out)
+    return out.reshape(len(X), *shape)
 
 
 def arguments_of(function: object, name: str, data: Data = NO_DATA) -> tuple[str, ...]:

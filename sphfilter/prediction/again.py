@@ -130,9 +130,8 @@ def predict_from_finer(
     try:
         return predicted(density)
     except (LatticeError, UnresolvedError) as problem:
-        noisy = (
-            not isinstance(model, SDE) or model.diffusion_rows.any()
-        )  # else nothing smooths what is coarse
+        # else nothing smooths what is coarse
+        noisy = not isinstance(model, SDE) or model.diffusion_rows.any()
         if origin is None or origin.before is None or origin.before.field is None or not noisy:
             raise
         rung, outcome = Ladder().climbed(

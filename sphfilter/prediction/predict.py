@@ -22,7 +22,7 @@ from ..validate import count, end_of
 from . import automatic, chapman_kolmogorov, cloud, family, ladder, log_density, paper
 from ._shared import Predicted
 from .again import Ladder, Outcome, or_as_cloud
-from .exact import propagate_exactly
+from .pieces import propagate_exactly
 from .to_target import ALWAYS, Time, carried_to_target
 
 
