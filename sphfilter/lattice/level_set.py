@@ -108,7 +108,7 @@ def lay(
                 f"the density near {mean} is spread over more lattice cells than fit into memory: its pieces "
                 f"are much smaller than the distance between them, it has no edge, or {n} states are too many"
             )
-        new = relaid(value, *box, highest, asked, mean, A, sten, depth, walls)
+        new = relaid((value, *box, highest, asked), mean, A, sten, depth, walls)
         count = len(new[1]) if asked.size < most else asked.size
         if 0 < count <= n_particles:
             best = A, count * spacing**n, *new
