@@ -407,6 +407,10 @@ class FilterConfig(_Settings):
         return {"acceptance": AcceptanceTest(enabled=True)}
 
 
+#: Settings of a prediction.
+AnyConfig: TypeAlias = SolverConfig | FilterConfig
+
+
 def checked_filter_config(config: FilterConfig | None) -> FilterConfig:
     """Return `config`, the default for None; anything but a `FilterConfig` is a `ConfigError`."""
     if config is None:

@@ -163,13 +163,8 @@ def forecast(ahead: Any, axes: Sequence[int], ax: Any) -> Any:
         for name, p in ahead.probability.items():
             (line,) = panel.plot(ahead.t, p, lw=1.4, label=name)
             if "_passages" in vars(ahead):  # asked for before: it takes longer than the rest
-                panel.plot(
-                    ahead.t,
-                    ahead.first_passage[name],
-                    ls=":",
-                    color=line.get_color(),
-                    label=f"{name}, by then",
-                )
+                style = {"ls": ":", "color": line.get_color(), "label": f"{name}, by then"}
+                panel.plot(ahead.t, ahead.first_passage[name], **style)
         panel.set_ylim(bottom=0.0)
         _finish(panel, "t (s)", "probability")
         panel.legend(loc="best", frameon=False, fontsize=8)

@@ -1,8 +1,10 @@
 """Settings: frozen, keyword-only dataclasses that check their values and name the nearest valid key."""
 
+import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from os import PathLike
+from pathlib import Path
 from typing import Annotated, Any, TypeVar, dataclass_transform, get_args, get_origin
 
 from pydantic import ConfigDict, Field, ValidationError
@@ -37,6 +39,16 @@ def settings(cls: type[Made]) -> type[Made]:
     __init__.__wrapped__ = plain_init  # type: ignore[attr-defined]
     checked.__init__ = __init__
     return checked
+
+
+def read_toml(path: str | PathLike[str]) -> dict[str, Any]:
+    """Read the tree of a TOML file; raises `ConfigError`."""
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as problem:
+        raise ConfigError(f"cannot read {path}: {problem.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+        raise ConfigError(f"{path} is not valid TOML: {problem}") from None
 
 
 def from_table(cls: type[Made], table: Mapping[str, Any], source: str | PathLike[str] = "") -> Made:

@@ -4,8 +4,7 @@ from pathlib import Path
 
 from sphfilter.errors import ConfigError, nearest
 from sphfilter.files.tables import with_tables
-from sphfilter.files.toml import read_toml
-from sphfilter.settings import from_table
+from sphfilter.settings import from_table, read_toml
 
 from .files import change, file_names, find_file
 from .settings import ScenarioSettings

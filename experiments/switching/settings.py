@@ -4,8 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from sphfilter.errors import ConfigError
-from sphfilter.files.toml import read_toml
-from sphfilter.settings import from_table, settings
+from sphfilter.settings import from_table, read_toml, settings
 
 from ..scene.files import file_names, find_file
 

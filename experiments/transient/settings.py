@@ -10,8 +10,7 @@ from experiments.scene.files import change, file_names, find_file
 from sphfilter.config import SolverConfig
 from sphfilter.files.tables import with_tables
 from sphfilter.files.text import Matrix, ModelText, Row
-from sphfilter.files.toml import read_toml
-from sphfilter.settings import Count, Positive, from_table, settings
+from sphfilter.settings import Count, Positive, from_table, read_toml, settings
 
 from .grids import Lattice, Probe, Written
 

@@ -11,9 +11,9 @@ import tomli_w
 from ..errors import ConfigError, nearest
 from ..files.read_model import ModelOfFile, read_model
 from ..files.tables import with_tables
-from ..files.toml import read_toml
 from ..files.write import write_json
 from ..inference.estimation import ParameterFit, fit_parameters
+from ..settings import read_toml
 from . import pictures
 from .options import add_files, bound, by_name, number, place
 from .progress import Say

@@ -83,14 +83,10 @@ def ranked_reading(
 ) -> tuple[Floats, Floats, Floats]:
     """Rank a measurement z (k,) of time t, seconds, in its predictive density, and tell its innovation.
 
-    Returns
-    -------
-    pit : ndarray, shape (k,)
-        Probability that the prediction gave to a lower reading, each component alone; of an angle, counted
-        from the far side of the predicted direction. NaN where it is missing, as it is in z.
-    innovation, innovation_cov : ndarray, shapes (k,), (k, k)
-        z minus its expectation, and the covariance of the prediction plus R, its mean
-        where it differs from state to state.
+    The rank (k,) is the probability that the prediction gave to a lower reading, each component alone; of an
+    angle, counted from the far side of the predicted direction. NaN where it is missing, as it is in z. The
+    innovation (k,) is z minus its expectation; its covariance (k, k) is that of the prediction plus R, its
+    mean where it differs from state to state.
     """
     z = sensor.reading(z).z
     h = sensor.predict(spread.X, t)

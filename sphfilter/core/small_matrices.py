@@ -8,20 +8,19 @@ from ._jit import jit
 
 
 @jit
-def moments(x, m, mean, cov, total=1.0):
-    """Fill mean (n,) and covariance (n, n) of points x (N, n) of masses m (N,) that sum to `total`."""
+def moments(x, m, mean, cov):
+    """Fill mean (n,) and covariance (n, n) of points x (N, n) of masses m (N,) of sum one."""
     N, n = x.shape
     for a in range(n):
         mean[a] = 0.0
         for i in range(N):
             mean[a] += m[i] * x[i, a]
-        mean[a] /= total
     for a in range(n):
         for b in range(a + 1):
             c = 0.0
             for i in range(N):
                 c += m[i] * (x[i, a] - mean[a]) * (x[i, b] - mean[b])
-            cov[a, b] = cov[b, a] = c / total
+            cov[a, b] = cov[b, a] = c
 
 
 @jit

@@ -19,13 +19,7 @@ def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
     """The family of a density, and its misfit: the rms of log p less its polynomial.
 
     That is where the family is. Of what lies elsewhere, a part far away, moments tell: what they are apart by
-    is a misfit, too.
-
-    Parameters
-    ----------
-    density : ParticleDensity
-        That has a logarithm everywhere: on a lattice, or a family itself.
-    degree : int
+    is a misfit, too. The density has a logarithm everywhere: on a lattice, or a family itself.
     """
     if density.family is not None and density.family.degree == degree:
         return density.family, 0.0

@@ -165,17 +165,8 @@ def after_reading(
 ) -> AfterReading:
     """The defect of a posterior, whose logarithm is off as the prior's is, and by what its polynomial misses.
 
-    Parameters
-    ----------
-    prior : Family
-    defect : Defect
-        Of it.
-    posterior : Family
-        Normalised.
-    products : ndarray, shape (N,)
-        Logarithms of prior times likelihood over the evidence, at the posterior's nodes of both rules.
-    moments : tuple
-        Mean (n,) and covariance (n, n), before and after the reading.
+    Of a normalised posterior `products` (N,) are the logarithms of prior times likelihood over the evidence,
+    at its nodes of both rules; moments are those before and after the reading.
     """
     nodes = at_both_rules(len(prior.mu), posterior.degree)
     states = posterior.mu + nodes.xi @ posterior.A.T

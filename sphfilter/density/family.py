@@ -10,8 +10,9 @@ import numpy as np
 
 from .._types import Floats, OfStates
 from ..core.family.basis import Basis, basis, bound, polynomials, size, values_at
-from ..core.family.frame import inverse, moments_of, moved, weigh
+from ..core.family.frame import inverse, moved, weigh
 from ..core.limits import LOG_2_PI
+from ..core.small_matrices import moments
 from ..lattice.level_set import LatticeDensity, fewest_particles, lattice_reach, lay
 from ..model.domain import Domain
 from .quasi_random import weighted_points
@@ -21,8 +22,7 @@ ASTRAY = 0.3  # of the moments in a frame, from which a family does not hold a d
 #: Part of a polynomial's misfit that errors are estimated by. Measured: with half and twice, a model that
 #: switches takes .8 and 1.2 times the evaluations for 2.4 and .5 times the error, others 1.02 at most.
 OF_MISFIT = 0.5
-_NODES = {1: 200, 2: 1000, 3: 4000}  # of a lattice for questions, and more with more states
-_MOST_NODES = 12_000
+_NODES = {1: 200, 2: 1000, 3: 4000, 4: 12_000}  # of a lattice for questions, of four states and more the last
 _ON_LATTICE = 2  # states up to which a lattice answers
 _POINTS = 2**15  # that do for more: random ones would have a mean within 1 / √_POINTS = .006
 _STEP = 1e-4  # of a difference, in standard deviations: it misses h² / 6 = 2e-9 of a third derivative
@@ -97,7 +97,7 @@ def node_moments(xi: Floats, w: Floats) -> tuple[Floats, Floats]:
     """Mean (n,) and covariance (n, n) of nodes with probabilities."""
     n = xi.shape[1]
     b, C = np.empty(n), np.empty((n, n))
-    moments_of(xi, w, b, C)
+    moments(xi, w, b, C)
     return b, C
 
 
@@ -189,7 +189,7 @@ class Exponential(Shape):
     @cached_property
     def laid(self) -> Polynomials:
         """The family's density on a lattice."""
-        laid = self.on_lattice(_NODES.get(len(self.family.mu), _MOST_NODES))
+        laid = self.on_lattice(_NODES[min(len(self.family.mu), 4)])
         return Polynomials(laid.field, laid.x, laid.mass, self.moments)
 
     @property

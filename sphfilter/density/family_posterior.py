@@ -31,24 +31,10 @@ class FamilyPosterior(NamedTuple):
 def family_posterior(
     prior: Family, log_weight: OfStates, first: tuple[Floats, Floats] | None = None
 ) -> FamilyPosterior:
-    """A family times exp(log_weight(X)), in a frame of its own.
+    """A family times exp(log_weight(X)), of states X (M, n), in a frame of its own.
 
-    Parameters
-    ----------
-    prior : Family
-    log_weight : callable
-        States (M, n) to logarithms (M,).
-    first : tuple of ndarray, shapes (n,), (n, n), optional
-        Mean of the frame to begin with, and a factor of its covariance; those of the prior's if not given.
-
-    Returns
-    -------
-    FamilyPosterior
-
-    Raises
-    ------
-    PropagationError
-        No frame fits the posterior, or the likelihood is zero where it has nodes.
+    That begins with the prior's, or with a mean (n,) and a factor (n, n) of a covariance. Raises
+    `PropagationError` if no frame fits the posterior, or the likelihood is zero where it has nodes.
     """
     rule = prior.basis
     mu, A = (prior.mu, prior.A) if first is None else first

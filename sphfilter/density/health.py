@@ -146,18 +146,10 @@ def _alone(z: Floats, support: Floats) -> Bools:
 
 
 def _smoothed(z: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """What quadratic polynomials through the neighbours of each point make of values there.
+    """What quadratic polynomials through the neighbours of each point z (N, n) make of values (N,) there.
 
-    Parameters
-    ----------
-    z : ndarray, shape (N, n)
-        Two points at least; of few the polynomials are linear.
-    values : ndarray, shape (N,)
-
-    Returns
-    -------
-    smooth, nearest : ndarray, shape (N,)
-        Values of the polynomials at their own points, and distances to the nearest point.
+    Of few points, which are two at least, they are linear. Returns values (N,) of the polynomials at their
+    own points, and distances (N,) to the nearest point.
     """
     from scipy.spatial import cKDTree  # on use: import time
 

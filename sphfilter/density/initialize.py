@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._types import Floats, OfStates
-from ..config import CloudScheme, FilterConfig, LogDensityScheme, PaperScheme, Scheme, SolverConfig
+from ..config import AnyConfig, CloudScheme, FilterConfig, LogDensityScheme, PaperScheme, Scheme, SolverConfig
 from ..core.family.rules import MOST, degrees
 from ..core.field.walls import NO_WALLS, Walls
 from ..core.limits import EDGE
@@ -45,7 +45,7 @@ _PLAIN = PaperScheme(kernel="wendland_c2", support_steps=1)
 def initialize(
     distribution: Distribution,
     n_particles: int | Literal["auto"] | None = None,
-    config: SolverConfig | FilterConfig | None = None,
+    config: AnyConfig | None = None,
     *,
     box: ArrayLike | None = None,
     spacing: ArrayLike | None = None,
@@ -122,16 +122,12 @@ def initialize(
 
 
 def _to_target(
-    distribution: Distribution,
-    box: ArrayLike | None,
-    config: SolverConfig | FilterConfig | None,
-    t: float,
-    domain: DomainLike,
+    distribution: Distribution, box: ArrayLike | None, config: AnyConfig | None, t: float, domain: DomainLike
 ) -> ParticleDensity:
     """A Gaussian as one family, another distribution on as many nodes as a target error asks for."""
-    known = None if domain is None else Domain.of(domain, len(_box_of(distribution, box)))
-    ladder = config is None or config.scheme == "auto"
     n = len(_box_of(distribution, box))
+    known = None if domain is None else Domain.of(domain, n)
+    ladder = config is None or config.scheme == "auto"
     if ladder and not degrees(n):
         raise ModelError(
             f'n_particles="auto" carries densities of up to {MOST} states, and {n} are more: leave some out '

@@ -34,12 +34,9 @@ def around(field: Field, walls: Walls = NO_WALLS) -> Floats:
     depth, highest, n = np.ptp(field.log_p[: field.kept]) + _FURTHER, field.log_p.max(), len(field.mu)
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
     cells.box_of(field.node, cells.MARGIN, low, dims)
-    ask, start = (
-        near_walls(partial(lattice_field.log_p_at, field), walls, field.A, 1),
-        (field.node, low, dims),
-    )
+    ask = near_walls(partial(lattice_field.log_p_at, field), walls, field.A, 1)
     ball = stencils(n).offsets[: stencils(n).size[0]]
-    found = flood(ask, field.mu, field.A, start, ball, depth, highest=highest)
+    found = flood(ask, field.mu, field.A, (field.node, low, dims), ball, depth, highest=highest)
     kept = np.sort(found.asked[found.value[found.asked] > found.highest - depth])
     return cells.states_of(kept, field.mu, field.A, found.low, found.dims)[1]
 
@@ -51,20 +48,7 @@ def marginal_on_lattice(
 
     In coordinates that whiten the field's lattice, those axes first, the states with given values there fill
     planes; sums over the points of a lattice in such a plane are spectrally accurate, as those over the
-    nodes are.
-
-    Parameters
-    ----------
-    field : Field
-    x, mass : ndarray, shape (N, n), (N,)
-        States and masses of its nodes.
-    axes : list of int, length k
-    walls : tuple of ndarray, optional
-        Where the density ends, low and high, shape (n,) each.
-
-    Returns
-    -------
-    Laid
+    nodes x (N, n) of mass (N,) are. Walls are where the density ends.
     """
     k, order = len(axes), np.array([*axes, *(axis for axis in range(x.shape[1]) if axis not in axes)])
     factor = np.linalg.cholesky((field.A @ field.A.T)[np.ix_(order, order)])

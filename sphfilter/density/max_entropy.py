@@ -19,11 +19,8 @@ _LONGEST = 2.0  # change of log p in a round, rms over the density
 def max_entropy(x: Floats, mass: Floats, degree: int) -> tuple[Family, float] | None:
     """Find the family of a degree that has the moments of points (N, n) with weights (N,) up to that degree.
 
-    Returns
-    -------
-    Family, float, or None
-        The family and its misfit, what chance explains taken off: by how much moments of one degree more, and
-        the variance of log p, differ from those of the points. None where no family has the moments.
+    With it its misfit, what chance explains taken off: by how much moments of one degree more, and the
+    variance of log p, differ from those of the points. None where no family has the moments.
     """
     mean, cov = moments(x, mass)
     try:

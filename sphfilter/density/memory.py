@@ -4,7 +4,7 @@ import math
 from functools import cache
 from typing import NamedTuple
 
-from ..config import FilterConfig, LogDensityScheme, SolverConfig
+from ..config import AnyConfig, FilterConfig, LogDensityScheme
 from ..core.cloud.control import next_points, points_for, power_of_two
 from ..info import DOUBTFUL
 from ..lattice.level_set import fewest_particles
@@ -124,7 +124,7 @@ def min_nodes(dim: int) -> int:
     return max(60, 3 * fewest_particles(dim))
 
 
-def max_particles(n_particles: int | str, config: SolverConfig | FilterConfig | None) -> int | str:
+def max_particles(n_particles: int | str, config: AnyConfig | None) -> int | str:
     """A number of particles as given; of "auto" a number where nothing estimates an error to choose by.
 
     The acceptance test asks where particles lie, and needs some.

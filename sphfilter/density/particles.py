@@ -20,18 +20,10 @@ def particles_on(
 ) -> ParticleDensity:
     """Make particles of density values on a lattice: masses, and the initial h that fits them best.
 
-    Parameters
-    ----------
-    lattice : Lattice
-    values : ndarray, shape (M,)
-        Density at the nodes; zero where no particle is to be.
-    between : ndarray
-        Density at the nodes of ``lattice.half_shifted()``.
-    core : ndarray of bool, shape (M,)
-        Nodes whose fit counts; interstitial nodes count from the lowest density of the core up.
-    scheme : PaperScheme
-    density : dict
-        The other attributes of the density: t, represented_mass, capacity, domain.
+    The values (M,) are zero where no particle is to be, and those `between` are at the nodes of
+    ``lattice.half_shifted()``. The fit counts at the nodes of the core, bool (M,), and at interstitial nodes
+    from the lowest density of the core up. In `density` are its other attributes: t, represented_mass,
+    capacity, domain.
     """
     kept = values > 0
     mass = values * lattice.cell_volume
@@ -51,11 +43,5 @@ def particles_with(
     if scheme.masses == "collocation":
         solved = collocation_masses(x, h, values[kept], scheme.kernel)
         mass = mass if solved is None else solved
-    return ParticleDensity(
-        x=x,
-        mass=mass,
-        h=np.full(len(x), h),
-        kernel=scheme.kernel,
-        read_out=scheme.read_out,
-        **density,
-    )
+    of_scheme: dict[str, Any] = {"kernel": scheme.kernel, "read_out": scheme.read_out}
+    return ParticleDensity(x=x, mass=mass, h=np.full(len(x), h), **of_scheme, **density)

@@ -80,18 +80,11 @@ class Pieces(NamedTuple):
 
 
 def light(w: Floats, means: Floats, covs: Floats, least: float, away: float = 1.0) -> Bools:
-    """The lightest parts of a sum, (K,), which together carry less than `least` of it.
+    """The lightest parts of a sum, (K,), of shares w (K,) of sum one, which carry less than `least` of it.
 
-    What a part carries is its share of the probability, times `away`, or of the variance, if that is more:
-    without a light part that is far off a density may be much narrower.
-
-    Parameters
-    ----------
-    w, means, covs : ndarray, shapes (K,), (K, n), (K, n, n)
-        Shares of sum one.
-    least : float
-    away : float
-        Standard deviations at which what is left out may lie.
+    What a part carries is its share of the probability, times the standard deviations `away` at which what is
+    left out may lie, or of the variance, if that is more: without a light part that is far off a density may
+    be much narrower. Means are (K, n), covariances (K, n, n).
     """
     off = means - w @ means
     square = covs + off[:, :, None] * off[:, None]

@@ -20,13 +20,7 @@ _SEED = 20220  # of the one scrambling that all nets have
 def spread_evenly(count: int, n: int, shift: Floats | float = 0.0, order: Ints | None = None) -> Floats:
     """Points (count, n) of the additive sequence of the root of x^(n+1) = x + 1, even over the unit cube.
 
-    Parameters
-    ----------
-    count, n : int
-    shift : float or array_like, shape (n,), optional
-        That all are shifted by, modulo one.
-    order : ndarray of int, shape (count,), optional
-        Numbers of the points, as they come; else from the first on.
+    All are shifted, by a number or (n,), modulo one; `order` (count,) numbers them, else from the first on.
     """
     uniform = np.empty((n, count))
     order = np.arange(count) if order is None else order

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .._types import Bools, Floats, OfStates
-from ..config import FilterConfig, LogDensityScheme, PaperScheme, Scheme, SolverConfig
+from ..config import AnyConfig, FilterConfig, LogDensityScheme, PaperScheme, Scheme, SolverConfig
 from ..core.limits import LARGEST_EXPONENT
 from ..errors import ModelError, PropagationError
 from ..info import ResampleInfo
@@ -30,9 +30,7 @@ _FAINT = -12.0  # logarithm of a Gaussian's weight beside a mixture of kernels
 
 
 def resample(
-    density: ParticleDensity,
-    n_particles: int | None = None,
-    config: SolverConfig | FilterConfig | None = None,
+    density: ParticleDensity, n_particles: int | None = None, config: AnyConfig | None = None
 ) -> tuple[ParticleDensity, ResampleInfo]:
     """Put a density on a new lattice without a measurement (002 4.7).
 
@@ -134,9 +132,7 @@ def max_particles_of(density: ParticleDensity, n_particles: int | str | None = N
     return density.capacity or (4 * min_nodes(density.dim) if no_lattice else density.n_particles)
 
 
-def target_of(
-    density: ParticleDensity, config: SolverConfig | FilterConfig, n_particles: int | str | None
-) -> float | None:
+def target_of(density: ParticleDensity, config: AnyConfig, n_particles: int | str | None) -> float | None:
     """Target error of a step, rms over the states; None where a number of particles or a scheme decides."""
     asked = n_particles == "auto" or (n_particles is None and density.needs is not None)
     if not asked or not (config.scheme == "auto" or isinstance(config.scheme, LogDensityScheme)):
@@ -161,10 +157,7 @@ def regrid(
 ) -> tuple[ParticleDensity, ResampleInfo]:
     """Put density times exp(log_weight(X)) on a new lattice and normalise it.
 
-    Raises
-    ------
-    PropagationError
-        The product is zero wherever the density has particles.
+    Raises `PropagationError` if the product is zero wherever the density has particles.
     """
     if not isinstance(scheme, PaperScheme):
         return _relaid(density, n_particles, scheme, log_weight)

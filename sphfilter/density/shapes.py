@@ -400,17 +400,7 @@ def _cell_points(n: int, cells: int, smooth: bool) -> Floats:
 
 
 def lattice_particles(laid: LatticeDensity) -> dict[str, Any]:
-    """Fields of a density on a lattice, by name.
-
-    Parameters
-    ----------
-    laid : Laid
-
-    Returns
-    -------
-    dict
-        Arguments of `ParticleDensity`.
-    """
+    """Fields of a density on a lattice, by name: arguments of `ParticleDensity`."""
     spacing = abs(np.linalg.det(laid.field.A)) ** (1.0 / laid.x.shape[1])
     return {
         "x": laid.x,

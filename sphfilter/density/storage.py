@@ -70,12 +70,8 @@ def stored(density: ParticleDensity) -> Arrays:
 def density_from(arrays: Arrays, models: Sequence[Dynamics] = ()) -> ParticleDensity:
     """The density of arrays that `stored` made.
 
-    Parameters
-    ----------
-    arrays : dict of str to ndarray
-    models : sequence of SDE or DiscreteModel
-        Those of a cloud's predictions since the last reading, or one for all of them. Without any the points
-        are there, and a reading weighs them, but does not lead them.
+    Models are those of a cloud's predictions since the last reading, or one for all of them. Without any the
+    points are there, and a reading weighs them, but does not lead them.
     """
     about = json.loads(str(arrays["about"]))
     about.pop("inherited", None)  # of files of before
@@ -264,13 +260,7 @@ def from_bytes(content: bytes) -> ParticleDensity:
 
 
 def load_arrays(path: str | PathLike[str] | BinaryIO) -> Arrays:
-    """Read a file of `write_arrays`.
-
-    Raises
-    ------
-    ModelError
-        The file cannot be read, or is of another format.
-    """
+    """Read a file of `write_arrays`; raises `ModelError` if it cannot be read, or is of another format."""
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = dict(file)

@@ -8,11 +8,10 @@ from pydantic import BeforeValidator, Field
 
 from ..config import FilterConfig
 from ..errors import ConfigError, nearest
-from ..settings import Count, from_table, settings
+from ..settings import Count, from_table, read_toml, settings
 from .csv_data import Measurements, columns_of, read_measurements
 from .tables import with_tables
 from .text import Matrix, ModelText, Reads, Row, Sensor
-from .toml import read_toml
 
 #: Keys of [filters] by which the experiments set other filters than this one.
 _OTHERS = frozenset({"default", "kf", "ekf", "ukf", "pf", "sph_paper", "grid"})

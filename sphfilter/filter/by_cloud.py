@@ -23,7 +23,7 @@ from ..info import Code
 from ..prediction.cloud import as_points, shadow_size, squared_differences
 from .guided import weighed
 from .inherited import inherited
-from .reading_at_prior import ReadingAtPrior
+from .reading_at_prior import Posterior, ReadingAtPrior
 from .stacked import Stacked
 
 
@@ -34,7 +34,7 @@ def by_cloud(
     config: FilterConfig,
     why: str = "",
     n_points: int | None = None,
-) -> tuple[ParticleDensity, dict[str, Any]]:
+) -> Posterior:
     """Prior times likelihood as a cloud of weighted points, and what the update says.
 
     What is none yet becomes one of as many points as are given, or the configuration's scheme has.

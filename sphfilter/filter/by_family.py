@@ -18,7 +18,7 @@ from ..density.passage import age_of, stored_key
 from ..errors import PropagationError
 from ..model.measurements import block, is_gaussian
 from .inherited import evidence_error_by, evidence_error_of, shift_left_by_update
-from .reading_at_prior import ReadingAtPrior, info_fields
+from .reading_at_prior import Posterior, ReadingAtPrior, info_fields
 
 _LOOKED_AT, _FEW = 512, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
 #: Standard deviations that each point from which states explaining a reading are looked for stands for: one
@@ -29,9 +29,7 @@ _MORE, _NEGLIGIBLE = 2.0, 9.0  # in logarithms: of a posterior over its family, 
 _LOST = 1e3  # an error that is as bad as any
 
 
-def by_family(
-    density: ParticleDensity, asked: ReadingAtPrior, degree: int, n_particles: int
-) -> tuple[ParticleDensity, dict[str, Any]]:
+def by_family(density: ParticleDensity, asked: ReadingAtPrior, degree: int, n_particles: int) -> Posterior:
     """Prior times likelihood as a family of a degree; it raises as `family_update` does."""
     return family_update(density, asked, degree, n_particles)[:2]
 
@@ -41,10 +39,7 @@ def family_update(
 ) -> tuple[ParticleDensity, dict[str, Any], float]:
     """Posterior and what is said of it, and the error in standard deviations that it adds to the prior's.
 
-    Raises
-    ------
-    PropagationError
-        No family holds it, or the error of that would be above `most`.
+    Raises `PropagationError` if no family holds it, or the error of that would be above `most`.
     """
     if density.read_out == "cloud" or (density.domain is not None and density.domain.walled.any()):
         raise PropagationError(
@@ -114,13 +109,9 @@ def _errors_beyond_nodes(
     see it.
 
     At these the posterior and its family weigh the prior, and the difference of the weights tells by how much
-    mean, covariance and integral differ: in tails, too, which lie beyond all nodes.
-
-    Raises
-    ------
-    PropagationError
-        A state explains the reading as well and is nowhere near, or too few points lie where the posterior is
-        to tell.
+    mean, covariance and integral differ: in tails, too, which lie beyond all nodes. Raises `PropagationError`
+    if a state explains the reading as well and is nowhere near, or too few points lie where the posterior is
+    to tell.
     """
     key = stored_key(age_of(density), _ELSEWHERE)
     X, mass = points_of(replace(density, domain=None), _LOOKED_AT, key)

@@ -20,11 +20,9 @@ from .by_family import family_update
 from .by_lattice import by_lattice
 from .by_pieces import by_pieces
 from .inherited import left_by_update, shift_left_by_update
-from .reading_at_prior import ReadingAtPrior
+from .reading_at_prior import Posterior, ReadingAtPrior
 
 _TRIES = 3
-
-Posterior = tuple[ParticleDensity, dict[str, Any]]
 
 
 def by_ladder(

@@ -19,7 +19,7 @@ from ..lattice.resolved import TOLERATED, Resolved
 from ..lattice.walls import moved_in
 from .by_cloud import by_cloud
 from .inherited import evidence_error_of, of_shape, shift_left_by_update
-from .reading_at_prior import ReadingAtPrior
+from .reading_at_prior import Posterior, ReadingAtPrior
 
 #: Standard deviations beyond the particles to which the tail of a density is trusted, and that of a Gaussian.
 _TRUSTED_TAIL, _TRUSTED_GAUSSIAN = 5.0, 20.0
@@ -27,7 +27,7 @@ _TRUSTED_TAIL, _TRUSTED_GAUSSIAN = 5.0, 20.0
 
 def by_lattice(
     density: ParticleDensity, asked: ReadingAtPrior, n_particles: int, config: FilterConfig
-) -> tuple[ParticleDensity, dict[str, Any]]:
+) -> Posterior:
     """Prior times likelihood on a lattice that follows its level set; the prior where that is a guess."""
     gaussian, flag = density.gaussian and asked.linear, asked.outlying
     found, evidence_error, error, left, unsure = None, 0.0, 0.0, 1.0, 0.0

@@ -1,7 +1,6 @@
 """A sum of Gaussians times a linear reading, exactly."""
 
 import math
-from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
@@ -14,24 +13,14 @@ from ..density.particle_density import ParticleDensity
 from ..density.pieces import Pieces, root_of
 from ..model.measurements import block, is_gaussian
 from .inherited import left_by_update
-from .reading_at_prior import ReadingAtPrior, info_fields
+from .reading_at_prior import Posterior, ReadingAtPrior, info_fields
 
 _LIGHT = 1e-5  # what the lightest, dropped, carry together; measured: half, twice move means by 7e-4 at most
 
 
-def by_pieces(
-    density: ParticleDensity, asked: ReadingAtPrior, target: float
-) -> tuple[ParticleDensity, dict[str, Any]]:
-    """Each Gaussian of a sum times the reading by Kalman's rule; those that it makes alike are merged.
-
-    Parameters
-    ----------
-    density : ParticleDensity
-        Of pieces.
-    asked : ReadingAtPrior
-        Of a sensor that is linear.
-    target : float
-        Standard deviations, rms over the states.
+def by_pieces(density: ParticleDensity, asked: ReadingAtPrior, target: float) -> Posterior:
+    """Each Gaussian of a sum times the reading of a linear sensor by Kalman's rule; those that it makes alike
+    are merged, as far as a target error allows, standard deviations, rms over the states.
     """
     prior, sensor = density.pieces, asked.measurement
     assert prior is not None and is_gaussian(sensor) and sensor.H is not None

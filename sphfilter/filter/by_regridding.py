@@ -1,7 +1,5 @@
 """Prior times likelihood on a regular lattice, if the acceptance test lets it (002 6.1-6.3)."""
 
-from typing import Any
-
 import numpy as np
 
 from .._types import Floats, Ints
@@ -10,12 +8,12 @@ from ..core.limits import TINY
 from ..density.particle_density import ParticleDensity
 from ..density.resample import regrid
 from ..model.measurements import is_gaussian
-from .reading_at_prior import ReadingAtPrior
+from .reading_at_prior import Posterior, ReadingAtPrior
 
 
 def by_regridding(
     density: ParticleDensity, asked: ReadingAtPrior, n_particles: int, config: FilterConfig
-) -> tuple[ParticleDensity, dict[str, Any]]:
+) -> Posterior:
     """Prior times likelihood on a regular lattice, if the acceptance test lets it (002 6.1-6.3)."""
     accepted, reason = _verdict(density, asked, config.acceptance)
     new, resampled = density, None

@@ -127,10 +127,7 @@ def _missed(
     if g[0] is None or g[1] is None:
         return np.zeros(len(after))
     columns = model.noise(before, span[0]) @ noise_root(model.spectral_density)
-    step, square = (
-        LITTLE * math.sqrt(span[1] - span[0]),
-        np.zeros(len(before)),
-    )  # of the noise
+    step, square = LITTLE * math.sqrt(span[1] - span[0]), np.zeros(len(before))  # of the noise
     for k in range(columns.shape[2]):
         to = step * columns[:, :, k]
         there, back = (_numbers(event, before + sign * to, domain) for sign in (1.0, -1.0))

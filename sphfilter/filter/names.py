@@ -10,63 +10,46 @@ from ..validate import Given, Returned
 _IN_MODEL = (
     "dynamics belong to the model: SDE, LinearSDE(A), in discrete time DiscreteModel.from_matrices(F, Q)"
 )
-_MADE_OF = "the model and the sensor say it: SPHFilter(model, measurement, x0, P0)"
 _SIGMAS = "a filter that carries the density has no sigma points"
 _LINEARISED = "nothing is linearised: give h alone, update(z, R, h), or as the h of a GaussianMeasurement"
-_AS_A_RECORD = "give the whole record to run(times, measurements)"
 _INPUTS = "controls are inputs of the model, SDE(..., inputs=[...]), LinearSDE(A, B=B): predict(dt, u=...)"
-#: Names of filterpy's filters, and what stands for them here.
-_FILTERPY = {
+#: What stands here for names of filterpy's filters.
+_INSTEAD = {
     "R": "give update(z, R=...), or a measurement=GaussianMeasurement(h, noise_cov=R), its noise_cov",
     "H": "give update(z, R, H), or a measurement=GaussianMeasurement(h=H, noise_cov=R), its H",
     "hx": "give update(z, R, hx), or a measurement=GaussianMeasurement(h=hx, noise_cov=R)",
     "Q": "process noise belongs to the model: SDE(..., spectral_density=Q), DiscreteModel(..., covariance=Q)",
-    "F": _IN_MODEL,
+    "F predict_x": _IN_MODEL,
     "fx": "dynamics belong to the model: DiscreteModel(fx, dim, covariance=Q), or an SDE in continuous time",
-    "B": _INPUTS,
-    "u": _INPUTS,
-    "dim_u": _INPUTS,
+    "B u dim_u": _INPUTS,
     "K": "a filter that carries the density has no gain",
     "inv": "a filter that carries the density inverts no innovation covariance; SI is its inverse",
     "alpha": "fading memory is process noise: a larger spectral_density of the model",
     "M": "noise of process and measurement that is correlated is made by sf.correlated_noise",
-    "residual_x": "say which states go round with SDE(..., domain=)",
-    "residual_z": "say which readings are angles with GaussianMeasurement(..., angles=)",
+    "residual_x x_mean": "say which states go round with SDE(..., domain=)",
+    "residual_z residual z_mean": "say which readings are angles with GaussianMeasurement(..., angles=)",
     "residual_of": "take z - measurement.predict(flt.x_prior, flt.t)[0]",
-    "residual": "say which readings are angles with GaussianMeasurement(..., angles=)",
     "measurement_of_state": "take measurement.predict(x, flt.t)[0]",
     "log_likelihood_of": "take sf.update(flt.density, measurement, z)[1].log_evidence",
     "get_prediction": "take sf.predict(flt.density, model, dt)",
     "get_update": "take sf.update(flt.density, measurement, z)",
-    "predict_x": _IN_MODEL,
     "predict_update": "call predict(dt), then update(z)",
     "predict_steadystate": "call predict(dt)",
     "update_steadystate": "call update(z)",
     "update_correlated": "take model and sensor of sf.correlated_noise(model, sensor, cross), and update(z)",
     "update_sequential": "call update(z, measurement=...) once a sensor",
-    "batch_filter": _AS_A_RECORD,
+    "batch_filter": "give the whole record to run(times, measurements)",
     "rts_smoother": "take sf.smooth(flt, times, measurements)",
     "test_matrix_dimensions": "shapes are checked when the model, the sensor and the filter are made",
-    "HJacobian": _LINEARISED,
-    "Hx": _LINEARISED,
-    "dim_x": _MADE_OF,
-    "dim_z": _MADE_OF,
-    "points": _SIGMAS,
-    "points_fn": _SIGMAS,
-    "sigmas_f": _SIGMAS,
-    "sigmas_h": _SIGMAS,
-    "UT": _SIGMAS,
-    "compute_process_sigmas": _SIGMAS,
-    "x_mean": "say which states go round with SDE(..., domain=)",
-    "z_mean": "say which readings are angles with GaussianMeasurement(..., angles=)",
-    "Wm": _SIGMAS,
-    "Wc": _SIGMAS,
-    "args": "a function of other arguments is written as lambda x: h(x, ...)",
-    "hx_args": "a function of other arguments is written as lambda x: h(x, ...)",
+    "HJacobian Hx": _LINEARISED,
+    "dim_x dim_z": "the model and the sensor say it: SPHFilter(model, measurement, x0, P0)",
+    "points points_fn sigmas_f sigmas_h UT compute_process_sigmas Wm Wc": _SIGMAS,
+    "args hx_args": "a function of other arguments is written as lambda x: h(x, ...)",
     "fx_args": "numbers that a model depends on are its parameters: SDE(..., parameters={...})",
     "window": "the number of steps that are kept is given when the filter is made: SPHFilter(..., window=)",
     "compute_log_likelihood": "the log_likelihood is always there",
 }
+_FILTERPY = {name: said for names, said in _INSTEAD.items() for name in names.split()}
 _MIXED = {"x": "mean", "P": "covariance"}
 #: Likeness of two names, 2 · letters alike / letters of both, from which one is taken for the other mistyped:
 #: of eight letters two may differ, 2 · 6 / 16 = .75.

@@ -1,12 +1,13 @@
 """A reading beside a prior: its likelihood, and how far it is from what was predicted."""
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig
+from ..core.limits import TINY
 from ..density.particle_density import ParticleDensity
 from ..density.points import moments, whitener
 from ..errors import ModelError
@@ -15,9 +16,15 @@ from ..lattice.resolved import Search
 from ..model.domain import Domain
 from ..model.measurements import GaussianSensor, Reading, Sensor, block, is_gaussian
 from ..validate import state_rows
-from .solutions import solutions
 
+#: A density after a reading, and fields of the info of that.
+Posterior: TypeAlias = tuple[ParticleDensity, dict[str, Any]]
 OUTLYING = 5.0  # standard deviations from its prediction: 2 Φ(-5) = 6e-7 of numbers read lie so far out
+_SHARP = 5.0  # standard deviations of noise between nodes' readings ... (measured: half changes no run)
+_BENT = 1.0  # ... and that some are bent by in a cell (measured: half changes no run, twice errors by .8)
+_ITERATIONS = 8  # measured: half and twice change errors of four sharp readings by .6 to 1.4 times
+_STEP = 1e-4  # of a cell, for differences; measured: with 1e-6, 1e-2 errors are .9 to 1.7 times as large
+_DAMPED = 1e-6  # of the largest curvature; measured: with 1e-8, 1e-4 errors are .7 to 1.4 times as large
 
 
 class ReadingAtPrior(NamedTuple):
@@ -159,3 +166,35 @@ def info_fields(
         "code": code,
         "scheme": scheme,
     }
+
+
+def solutions(sensor: GaussianSensor, z: Floats, x: Floats, cell: Floats, t: float) -> Floats | None:
+    """States of a reading, by Gauss-Newton from every node; None where the nodes resolve the likelihood.
+
+    The reading z (k,) is NaN where nothing came, the nodes are x (N, n), the columns of `cell` (n, n) the
+    vectors of their lattice. Returns where the iteration ended, shape (N, n), whether or not the reading is
+    explained there.
+    """
+    seen, n = np.isfinite(z), x.shape[1]
+    whiten = np.linalg.inv(np.linalg.cholesky(block(sensor.noise_cov, seen))).T
+
+    def off(X: Floats) -> Floats:
+        return np.asarray(sensor.residual(z, sensor.predict(X, t))[:, seen] @ whiten)
+
+    here = off(x)
+    diagonal = cell.sum(axis=1)
+    between, ahead = off(x + 0.5 * diagonal), off(x + diagonal)
+    apart, bent = np.abs(ahead - here).sum(axis=1), np.abs(ahead - 2.0 * between + here).sum(axis=1)
+    if not (np.nanmedian(apart) > _SHARP and np.nanmax(bent) > _BENT):
+        return None
+    x = x.copy()
+    for _ in range(_ITERATIONS):
+        moved = off((x + _STEP * cell.T[:, None]).reshape(-1, n)).reshape(n, len(x), -1)
+        slope = np.nan_to_num(np.moveaxis((moved - here) / _STEP, 0, 2))  # (N, k, n), by cells
+        normal = np.swapaxes(slope, 1, 2) @ slope
+        normal += (TINY + _DAMPED * np.trace(normal, axis1=1, axis2=2))[:, None, None] * np.eye(n)
+        step = -np.linalg.solve(normal, np.swapaxes(slope, 1, 2) @ np.nan_to_num(here)[..., None])[..., 0]
+        step /= np.maximum(1.0, np.linalg.norm(step, axis=1))[:, None]  # a cell at most
+        x += step @ cell.T
+        here = off(x)
+    return x[np.isfinite(here).all(axis=1)]

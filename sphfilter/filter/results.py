@@ -188,23 +188,14 @@ def run_filter(
 ) -> FilterResult:
     """Predict to each time and update with its measurement.
 
-    Parameters
-    ----------
-    filt : object with ``predict(t=)``, ``update(z)``, ``t``, ``x``, ``P``, ``log_likelihood``
-    times : array_like, shape (T,)
-        Absolute times, seconds, not decreasing and none before ``filt.t``. A time equal to the filter's
-        own is not predicted to, so repeated times and ``times[0] == t0`` are updates only.
-    measurements : sequence of length T
-        One measurement a time; None or NaN where none came.
-    truth : array_like, shape (T, n), optional
-        True states, which the result then ranks in the densities of a filter with ``spread()``; a filter
-        without it is taken for Gaussian.
-    observer : Ranker, optional
-        One that knows the truth, instead of it.
-    each : callable, optional
-        Called with the filter after every update.
-    inputs : array_like (T, m), or mapping of str to array_like (T,), optional
-        What the inputs of the filter's model are over the interval that ends at each time.
+    The filter has ``predict(t=)``, ``update(z)``, ``t``, ``x``, ``P`` and ``log_likelihood``. Times (T,),
+    seconds, do not decrease, and none is before ``filt.t``; one equal to the filter's own is not predicted
+    to, so that repeated times and ``times[0] == t0`` are updates only. A measurement is None or NaN where
+    none came.
+
+    A truth (T, n) is ranked in the densities of a filter with ``spread()``; a filter without it is taken for
+    Gaussian. An observer knows the truth, instead of it; `each` is called with the filter after every update.
+    Inputs, (T, m) or (T,) by name, are those of the model over the interval that ends at each time.
     """
     times, n = np.asarray(times, dtype=float), len(filt.x)
     if times.ndim != 1 or len(times) != len(measurements):

@@ -82,11 +82,7 @@ class FilterState(Noted, Generic[Carried]):
         return self.noted(density=density, origin=origin, **moments, inputs=dict(inputs), **known)
 
     def updated(
-        self,
-        step: tuple[Carried, Carried, UpdateInfo],
-        origin: Any,
-        measurement: Sensor,
-        z: ArrayLike | None,
+        self, step: tuple[Carried, Carried, UpdateInfo], origin: Any, measurement: Sensor, z: ArrayLike | None
     ) -> Self:
         """The state after an update, whose prior may be another than the density now.
 

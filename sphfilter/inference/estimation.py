@@ -251,9 +251,9 @@ def fit_parameters(
     evidence = Evidence(filt, times, measurements, names, report, inputs)
     evidence.bounds = low, high
     value = evidence.first(theta)
-    theta, value = searched(evidence, theta, low, high, max_evaluations)
-    theta, value = off_bounds(evidence, theta, value, low, high)
-    theta, value, free, local = climbed(evidence, theta, value, low, high, max_evaluations)
+    theta, value = searched(evidence, theta, max_evaluations)
+    theta, value = off_bounds(evidence, theta, value)
+    theta, value, free, local = climbed(evidence, theta, value, max_evaluations)
     rough, left, covariance = 0.0, np.inf if free.any() else 0.0, np.full((len(names), len(names)), np.nan)
     if local is not None:
         inside, centre = evidence.within(theta, free), theta[free]

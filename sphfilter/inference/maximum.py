@@ -27,12 +27,11 @@ ROUND = 0.05  # least curvature, over one in round coordinates; measured: half a
 NEAR = 0.25
 
 
-def searched(
-    evidence: Evidence, theta: Floats, low: Floats, high: Floats, max_evaluations: int
-) -> tuple[Floats, float]:
+def searched(evidence: Evidence, theta: Floats, max_evaluations: int) -> tuple[Floats, float]:
     """Simplex search from a guess; returns the best point and its log-evidence."""
     from scipy.optimize import minimize  # on use: import time
 
+    low, high = evidence.bounds
     step = first_steps(theta, low, high)
     step = np.where(theta + step > high, -step, step)
     simplex = np.vstack([theta, theta + np.diag(step)])
@@ -42,10 +41,9 @@ def searched(
     return found.x, -float(found.fun)
 
 
-def off_bounds(
-    evidence: Evidence, theta: Floats, value: float, low: Floats, high: Floats
-) -> tuple[Floats, float]:
+def off_bounds(evidence: Evidence, theta: Floats, value: float) -> tuple[Floats, float]:
     """Take parameters off bounds from which the log-evidence rises."""
+    low, high = evidence.bounds
     for k in np.flatnonzero((theta <= low) | (theta >= high)):
         inwards = theta.copy()
         inwards[k] += FIRST * first_steps(theta, low, high)[k] * (1.0 if theta[k] <= low[k] else -1.0)
@@ -56,13 +54,14 @@ def off_bounds(
 
 
 def climbed(
-    evidence: Evidence, theta: Floats, value: float, low: Floats, high: Floats, max_evaluations: int
+    evidence: Evidence, theta: Floats, value: float, max_evaluations: int
 ) -> tuple[Floats, float, Bools, Quadratic | None]:
     """Newton's method: the point, its log-evidence, which parameters are free, and the last quadratic.
 
     Parameters that come to a bound stay there. The quadratic is None if no parameter is free, or if the
     search was stopped before there was one.
     """
+    low, high = evidence.bounds
     free: Bools = (theta > low) & (theta < high)
     root, local = np.empty(0), None
     first = first_steps(theta, low, high)
@@ -76,14 +75,14 @@ def climbed(
         near = _near_bounds(theta, root, free, low, high)
         if near.any():
             k = np.flatnonzero(free)[near][0]
-            theta, value = _at_bound(evidence, theta, value, k, low, high)
+            theta, value = _at_bound(evidence, theta, value, k)
             free, root, local = free & (np.arange(len(free)) != k), np.empty(0), None
             continue
         h = min(STEPS[1], room(centre, root, low[free], high[free]))
         local = quadratic(inside, centre, value, root, h)
         done = local.flattest[0] < -ROUND and local.rise < _CLOSE
         step, root = _newton_step(local)
-        there, moved = _line(evidence, theta, value, free, step, low, high)
+        there, moved = _line(evidence, theta, value, free, step)
         done |= moved == value  # as near as such differences come
         theta, value = there, moved
         if done and not _near_bounds(theta, root, free, low, high).any():
@@ -95,11 +94,9 @@ def climbed(
     return theta, value, free, local
 
 
-def _at_bound(
-    evidence: Evidence, theta: Floats, value: float, k: int, low: Floats, high: Floats
-) -> tuple[Floats, float]:
+def _at_bound(evidence: Evidence, theta: Floats, value: float, k: int) -> tuple[Floats, float]:
     """A parameter on the bound that it is near, or left where it is if there is less evidence there."""
-    held = theta.copy()
+    held, (low, high) = theta.copy(), evidence.bounds
     held[k] = low[k] if theta[k] - low[k] < high[k] - theta[k] else high[k]
     moved = evidence(held)
     return (held, moved) if moved >= value else (theta, value)
@@ -147,10 +144,9 @@ def _newton_step(local: Quadratic) -> tuple[Floats, Floats]:
     )
 
 
-def _line(
-    evidence: Evidence, theta: Floats, value: float, free: Bools, step: Floats, low: Floats, high: Floats
-) -> tuple[Floats, float]:
+def _line(evidence: Evidence, theta: Floats, value: float, free: Bools, step: Floats) -> tuple[Floats, float]:
     """The best of a step and its halves, where one is better than none."""
+    low, high = evidence.bounds
     for part in (1.0, 0.5, 0.25):
         there = theta.copy()
         there[free] = np.clip(theta[free] + part * step, low[free], high[free])

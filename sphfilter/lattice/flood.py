@@ -26,24 +26,11 @@ def flood(
 ) -> Flooded:  # fmt: skip
     """Values on all cells of a lattice that lie within a depth of the largest value, and on those beside.
 
-    Parameters
-    ----------
-    ask : callable
-        States (M, n) to values (M,).
-    mean, A : ndarray, shape (n,), (n, n)
-        The middle of cell zero, and the lattice's vectors in columns.
-    start : tuple of ndarray of int, shapes (S, n), (n,), (n,)
-        Cells to begin with, one at least in every piece of the region; corner and size of a box around them.
-    ball : ndarray of int, shape (B, n)
-        Steps from a cell to those beside it.
-    depth : float
-        How far below the largest value the region ends.
-    most : float
-        Cells after which no more are asked.
-    at_once : float
-        Size of a box of which all cells are asked at once.
-    highest : float
-        The largest value, as far as it is known.
+    `ask` takes states (M, n) to values (M,). The lattice has the middle `mean` (n,) of cell zero, and vectors
+    A (n, n) in columns. It `start`s with cells (S, n), one at least in every piece of the region, and corner
+    and size (n,) of a box around them; a `ball` (B, n) are the steps from a cell to those beside it. After
+    `most` cells no more are asked; of a box as small as `at_once` all are asked at once. The `highest` value
+    is that which is known.
     """
     found, low, dims = start
     if np.prod(dims.astype(float)) > cells.MOST_CELLS:

@@ -79,23 +79,11 @@ def lay(
 ) -> LatticeDensity:
     """Put a density on a lattice of at most `n_particles` nodes, and at least about half of that.
 
-    Raises `PropagationError` if no spacing gives a lattice with complete nodes.
-
-    Parameters
-    ----------
-    log_p : callable
-        States (M, n) to logarithms of an unnormalised density (M,).
-    mean, factor : ndarray, shape (n,), (n, n)
-        Origin, and the lower factor of a covariance: the coordinates that are whitened.
-    seeds : ndarray, shape (S, n)
-        States at least one of which lies in every piece of the region.
-    depth : float
-        Z²/2.
-    volume : float, optional
-        First guess of the kept whitened volume.
-    walls : tuple of ndarray, optional
-        Where the density ends, low and high, shape (n,) each. A few cells further log_p is asked for its
-        smooth continuation.
+    Of states (M, n) `log_p` gives the logarithms (M,) of an unnormalised density; the origin `mean` (n,) and
+    the lower `factor` (n, n) of a covariance are the coordinates that are whitened. At least one of the
+    states `seeds` (S, n) lies in every piece of the region, whose `depth` is Z²/2, and whose kept whitened
+    volume may be guessed. A few cells beyond walls log_p is asked for its smooth continuation. Raises
+    `PropagationError` if no spacing gives a lattice with complete nodes.
     """
     n, sten = len(mean), stencils(len(mean))
     if np.any(np.sqrt((factor**2).sum(axis=1)) < _ROUNDED * np.spacing(np.abs(mean))):
@@ -120,7 +108,7 @@ def lay(
                 f"the density near {mean} is spread over more lattice cells than fit into memory: its pieces "
                 f"are much smaller than the distance between them, it has no edge, or {n} states are too many"
             )
-        new = relaid(value, *box, highest, asked, mean, A, sten, depth, walls)
+        new = relaid((value, *box, highest, asked), mean, A, sten, depth, walls)
         count = len(new[1]) if asked.size < most else asked.size
         if 0 < count <= n_particles:
             best = A, count * spacing**n, *new

@@ -39,16 +39,9 @@ def posterior(
     laid, and its nodes are the points of the next, higher power: the lattice closes in on the posterior, all
     its pieces at once. Its `log_mass` is the log-evidence.
 
-    Parameters
-    ----------
-    x, mass : ndarray, shape (N, n), (N,)
-        Points of the prior.
-    log_prior, log_weight : callable
-        States (M, n) to (M,); the weight may be minus infinity.
-    cell : ndarray, shape (n, n), or None
-        Lattice vectors of the points, in columns, if they lie on a lattice.
-    n_particles, depth, walls
-        As of `lay`.
+    Points of the prior are x (N, n), of mass (N,); if they lie on a lattice, the columns of `cell` (n, n) are
+    its vectors. `log_prior` and `log_weight`, which may be minus infinity, take states (M, n) to (M,); the
+    rest is as of `lay`.
     """
     n = x.shape[1]
     counting = (4.0 * math.pi) ** (n / 2) / gaussian_volume(n, depth)  # effective part of a Gaussian's nodes

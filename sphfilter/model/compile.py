@@ -8,6 +8,7 @@ import dis
 import functools
 import inspect
 import itertools
+import math
 import threading
 import warnings
 from collections.abc import Callable, Sequence
@@ -79,6 +80,14 @@ def batch(function: Callable[..., None]) -> BatchFunction:
     return njit(BATCH, error_model="numpy")(function)
 
 
+def filled(fill: BatchFunction, X: Floats, t: float, p: Floats, *shape: int) -> Floats:
+    """Values (N, *shape) of a batch function at states X (N, n), of data p."""
+    out = np.empty((len(X), math.prod(shape)))
+    with surfacing():
+        fill(X, float(t), p, out)
+    return out.reshape(len(X), *shape)
+
+
 def arguments_of(function: object, name: str, data: Data = NO_DATA) -> tuple[str, ...]:
     """Return what to pass to a user's function: x; x, t; x, t, p; with inputs also x, t, u or x, t, p, u.
 
@@ -138,21 +147,13 @@ def compile_rows(
 ) -> BatchFunction:
     """Compile a user's function into a batch function, whose out has one column per number, row-major.
 
+    The function is f(x), f(x, t), f(x, t, p) or f(x, t, p, u) of one state x (dim,) that returns numbers in
+    nested tuples of `shape`: () is one number, (k,) a tuple of numbers, (k, m) a tuple of k tuples of m
+    numbers; with `vectorized`, of states X (N, dim), returning an array (N, *shape). Its name is for
+    messages. `dim` is None when not known yet (nothing is tried then); of p it sees as many as the data have.
+
     Raises `ModelError` for wrong arguments, a wrong number of values, an index beyond the state, or where
     numba cannot compile it.
-    Parameters
-    ----------
-    function : callable
-        f(x), f(x, t), f(x, t, p) or f(x, t, p, u) of one state x (dim,) that returns numbers in nested tuples
-        of `shape`; with `vectorized`, of states X (N, dim), returning an array (N, *shape).
-    shape : tuple of int
-        () one number, (k,) a tuple of numbers, (k, m) a tuple of k tuples of m numbers.
-    name : str
-        What the function is, for messages.
-    dim : int or None
-        Length of the state; None when not known yet (nothing is tried then).
-    data : Data
-        Values of parameters and inputs; the function sees as many of p as these.
     """
     arguments = arguments_of(function, name, data)
     if dim is not None:

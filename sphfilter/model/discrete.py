@@ -11,7 +11,7 @@ from .._types import BatchFunction, Floats
 from ..core.limits import LITTLE, SAID
 from ..errors import ModelError, PropagationError
 from . import derived
-from .compile import Maker, StateFunction, compile_rows, compile_with_noise, reads_argument
+from .compile import Maker, StateFunction, compile_rows, compile_with_noise, filled, reads_argument
 from .domain import DomainLike
 from .dynamics import Dynamics, Functions, compiled
 from .named import Inputs, Values
@@ -230,13 +230,13 @@ class DiscreteModel(Dynamics):
         X = validate.state_rows("X", X, self.dim)
         shape = len(X), self.n_noise
         W = np.zeros(shape) if W is None else validate.array("W", W, shape, "a row for each state")
-        return self._filled(self.step_batch, np.hstack([X, W]), t, self.dim)
+        return filled(self.step_batch, np.hstack([X, W]), t, self.p, self.dim)
 
     def jacobian(self, X: ArrayLike, t: float) -> Floats:
         """Return ∂x'/∂(x, w) without noise at X (N, n), shape (N, n, n + m)."""
         X = validate.state_rows("X", X, self.dim)
         shape = self.dim, self.dim + self.n_noise
-        return self._filled(self.jacobian_batch, np.pad(X, ((0, 0), (0, self.n_noise))), t, *shape)
+        return filled(self.jacobian_batch, np.pad(X, ((0, 0), (0, self.n_noise))), t, self.p, *shape)
 
     def breaks(self, t0: float, t1: float) -> Floats:
         """Return an empty array: between steps there is nothing to see."""

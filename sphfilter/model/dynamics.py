@@ -1,6 +1,5 @@
 """How states move: what equations in continuous time and models in discrete time have in common."""
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -9,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from .._types import BatchFunction, Floats
 from ..errors import ModelError
-from .compile import Data, Maker, surfacing
+from .compile import Data, Maker, filled
 from .domain import Domain, DomainLike
 from .named import Adjustable, Values
 
@@ -84,13 +83,7 @@ class Dynamics(Adjustable):
         X = np.array(X, dtype=float, order="C", ndmin=2)
         if X.ndim != 2 or X.shape[1] != self.dim:
             raise ModelError(f"States have shape {np.shape(X)}, but the model needs (N, {self.dim}).")
-        return self._filled(fill, X, t, *shape)
-
-    def _filled(self, fill: BatchFunction, X: Floats, t: float, *shape: int) -> Floats:
-        out = np.empty((len(X), math.prod(shape)))
-        with surfacing():
-            fill(X, float(t), self.p, out)
-        return out.reshape(len(X), *shape)
+        return filled(fill, X, t, self.p, *shape)
 
 
 class Functions(dict[str, BatchFunction]):

@@ -1,6 +1,5 @@
 """Measurement models: what a sensor reads in a state, and how likely a reading is."""
 
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, TypeGuard
 
@@ -13,7 +12,7 @@ from .._types import BatchFunction, Bools, Floats, Ints, Seed
 from ..core._addresses import address_of
 from ..core.limits import DIFFERENCE, LOG_2_PI
 from ..errors import ModelError
-from .compile import StateFunction, compile_rows, probe, surfacing
+from .compile import StateFunction, compile_rows, filled, probe
 from .named import Adjustable, Inputs, Values
 from .tables import Tables, tables_of
 
@@ -363,7 +362,7 @@ class GaussianMeasurement(Adjustable):
         if self._matrix is not None:
             return X @ self._matrix.T
         assert self._fill is not None
-        return self._filled(self._fill, X, t, self.dim_z)
+        return filled(self._fill, X, t, self._p, self.dim_z)
 
     def covariance(self, X: ArrayLike, t: float = 0.0) -> Floats:
         """Return R in each state X (N, n), shape (N, k, k)."""
@@ -371,13 +370,7 @@ class GaussianMeasurement(Adjustable):
         self.check_dim(X.shape[1])
         if self._noise is None:
             return np.broadcast_to(self.noise_cov, (len(X), self.dim_z, self.dim_z))  # type: ignore[arg-type]
-        return self._filled(self._noise, X, t, self.dim_z, self.dim_z)
-
-    def _filled(self, fill: BatchFunction, X: Floats, t: float, *shape: int) -> Floats:
-        out = np.empty((len(X), math.prod(shape)))
-        with surfacing():
-            fill(X, float(t), self._p, out)
-        return out.reshape(len(X), *shape)
+        return filled(self._noise, X, t, self._p, self.dim_z, self.dim_z)
 
     def check_dim(self, n: int) -> None:
         """Raise `ModelError` if the sensor cannot read states of length n."""

@@ -59,11 +59,8 @@ class Values(NamedTuple):
 def _listed(inputs: Inputs | None) -> list[str]:
     """Names of inputs, each once."""
     names = [] if inputs is None else inputs
-    if (
-        isinstance(names, str)
-        or not isinstance(names, Sequence)
-        or not all(isinstance(n, str) for n in names)
-    ):
+    listed = isinstance(names, Sequence) and not isinstance(names, str)
+    if not listed or not all(isinstance(n, str) for n in names):
         raise ModelError(f"inputs lists names, such as inputs=['a'], or maps them to values; got {inputs!r}")
     if len(set(names)) < len(names):
         raise ModelError(f"inputs names one twice: {list(names)}")

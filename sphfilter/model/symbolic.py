@@ -130,10 +130,7 @@ def symbolic_step(
 
 
 def symbolic_rows(
-    states: Sequence[str],
-    texts: Sequence[str | float],
-    name: str | Sequence[str],
-    words: Names | None = None,
+    states: Sequence[str], texts: Sequence[str | float], name: str | Sequence[str], words: Names | None = None
 ) -> BatchFunction:
     """Return the batch function of k expressions of the states and t: rows of states in, k columns out.
 

@@ -111,21 +111,16 @@ def _fold(function: Callable[[Any, Any], Any]) -> Callable[..., Any]:
     return lambda first, *others: functools.reduce(function, others, first)
 
 
+def _of_one(names: str) -> dict[str, Any]:
+    """Functions of one argument, that are called alike everywhere."""
+    return {name: (getattr(sp, name), getattr(math, name), 1) for name in names.split()}
+
+
 #: name: (symbolic form, numerical form, number of arguments or None for any)
 FUNCTIONS: dict[str, tuple[Callable[..., Any], Callable[..., Any], int | None]] = {
-    "sin": (sp.sin, math.sin, 1),
-    "cos": (sp.cos, math.cos, 1),
-    "tan": (sp.tan, math.tan, 1),
-    "asin": (sp.asin, math.asin, 1),
-    "acos": (sp.acos, math.acos, 1),
-    "atan": (sp.atan, math.atan, 1),
+    **_of_one("sin cos tan asin acos atan"),
     "atan2": (Atan2, math.atan2, 2),
-    "sinh": (sp.sinh, math.sinh, 1),
-    "cosh": (sp.cosh, math.cosh, 1),
-    "tanh": (sp.tanh, math.tanh, 1),
-    "exp": (sp.exp, math.exp, 1),
-    "log": (sp.log, math.log, 1),
-    "sqrt": (sp.sqrt, math.sqrt, 1),
+    **_of_one("sinh cosh tanh exp log sqrt"),
     "abs": (Abs, abs, 1),
     "sign": (Sign, lambda a: float(a > 0) - float(a < 0), 1),
     "min": (_fold(Min), min, None),

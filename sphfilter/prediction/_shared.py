@@ -1,13 +1,19 @@
-"""What the schemes share: sentences about a prediction."""
+"""What the schemes share: what they return, and sentences about a prediction."""
 
 import itertools
 from functools import lru_cache
+from typing import TypeAlias
 
 import numpy as np
 
 from .._types import Floats
+from ..density.particle_density import ParticleDensity
+from ..info import PredictInfo
 from ..model.dynamics import Dynamics
 from ..model.sde import SDE
+
+#: A density after a prediction, and what is said of it.
+Predicted: TypeAlias = tuple[ParticleDensity, PredictInfo]
 
 
 @lru_cache(maxsize=64)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
-from ..config import CloudScheme, FilterConfig, SolverConfig
+from ..config import AnyConfig, CloudScheme
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, UnresolvedError
 from ..info import Code, PredictInfo, UpdateInfo
@@ -83,8 +83,7 @@ class Ladder(NamedTuple):
 
 
 def or_as_cloud(
-    predicted: Callable[[SolverConfig | FilterConfig], Outcome[PredictInfo]],
-    config: SolverConfig | FilterConfig,
+    predicted: Callable[[AnyConfig], Outcome[PredictInfo]], config: AnyConfig
 ) -> Outcome[PredictInfo]:
     """Predict; where ``scheme="auto"`` is refused, go on as a cloud, which says what the problem was.
 
@@ -111,7 +110,7 @@ class Origin(Protocol):
     def before(self) -> ParticleDensity | None:
         """The density that the step began with."""
 
-    def repeated(self, config: SolverConfig | FilterConfig, n_particles: int, /) -> ParticleDensity:
+    def repeated(self, config: AnyConfig, n_particles: int, /) -> ParticleDensity:
         """The density it ended with on another number of particles."""
 
 
@@ -120,7 +119,7 @@ def predict_from_finer(
     model: Dynamics,
     density: ParticleDensity,
     origin: Origin | None,
-    config: SolverConfig | FilterConfig,
+    config: AnyConfig,
     n_particles: int,
 ) -> Outcome[PredictInfo]:
     """Predict; if the density is too coarse for that, repeat what led to it on more particles.
@@ -131,9 +130,8 @@ def predict_from_finer(
     try:
         return predicted(density)
     except (LatticeError, UnresolvedError) as problem:
-        noisy = (
-            not isinstance(model, SDE) or model.diffusion_rows.any()
-        )  # else nothing smooths what is coarse
+        # else nothing smooths what is coarse
+        noisy = not isinstance(model, SDE) or model.diffusion_rows.any()
         if origin is None or origin.before is None or origin.before.field is None or not noisy:
             raise
         rung, outcome = Ladder().climbed(

@@ -15,10 +15,10 @@ from ..density.particle_density import ParticleDensity
 from ..density.quasi_random import systematic
 from ..density.resample import times_likelihood
 from ..errors import LatticeError, PropagationError, UnresolvedError
-from ..info import Code, PredictInfo
+from ..info import Code
 from ..model.sde import SDE
 from . import cloud, log_density, paper
-from ._shared import carried_off
+from ._shared import Predicted, carried_off
 from .again import Ladder
 
 #: Particles on which a prediction is made again where the lattice loses probability. Measured: half and twice
@@ -39,18 +39,12 @@ def propagate(
     most: int | None = None,
     allowed: float = 0.0,
     most_work: float = math.inf,
-) -> tuple[ParticleDensity, PredictInfo]:
+) -> Predicted:
     """Carry a density to time t1, seconds, by the log-density where that can be, else as a cloud.
 
-    Parameters
-    ----------
-    most : int, optional
-        Particles at most where the log-density needs more than `n_particles`.
-    allowed : float
-        Error that is shared out over steps and lattices; see `log_density.propagate`.
-    most_work : float
-        Evaluations of the drift, after which the log-density is given up: whoever bounds them goes on with a
-        cloud, which knows its error.
+    The log-density may have `most` particles where it needs more than `n_particles`, and an `allowed` error,
+    as of `log_density.propagate`. After `most_work` evaluations of the drift it is given up: whoever bounds
+    them goes on with a cloud, which knows its error.
     """
     if density.read_out == "cloud":
         laid = _on_lattice(density, n_particles)
@@ -110,9 +104,7 @@ def _on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity |
     return laid.noted(error=error, lost=density.lost, capacity=density.capacity)
 
 
-def _in_domain(
-    density: ParticleDensity, model: SDE, t1: float, n_particles: int
-) -> tuple[ParticleDensity, PredictInfo]:
+def _in_domain(density: ParticleDensity, model: SDE, t1: float, n_particles: int) -> Predicted:
     """Carry a density that no lattice holds: a cloud sees walls better than sums over kernels do."""
     kinds = model.domain.kinds
     if density.form.smooth and "reflecting" in kinds and "bounded" not in kinds:
@@ -128,7 +120,7 @@ def _on_more(
     asked: tuple[int, float, float],
     problem: PropagationError,
     most: int | None,
-) -> tuple[ParticleDensity, PredictInfo]:
+) -> Predicted:
     """Carry a density on more particles than allowed; the next update has as many as are.
 
     Where a lattice loses probability, the density is finer than its particles for a while: between two wells,

@@ -31,6 +31,7 @@ from ..lattice.level_set import lattice_reach
 from ..lattice.posterior import posterior
 from ..model.discrete import DiscreteModel
 from ..model.paths import noise_root
+from ._shared import Predicted
 
 #: Points up to which a cloud is taken, by states; of three K nodes at K others are more work. Measured by
 #: tests/filter/discrete_beside.py: of two sums take as long as 2^13 points, for a thirtieth of the error.
@@ -55,9 +56,7 @@ def why_not(model: DiscreteModel) -> str:
     return ""
 
 
-def propagate(
-    density: ParticleDensity, model: DiscreteModel, t1: float, n_particles: int
-) -> tuple[ParticleDensity, PredictInfo]:
+def propagate(density: ParticleDensity, model: DiscreteModel, t1: float, n_particles: int) -> Predicted:
     """Carry a density to time t1, seconds, on lattices of about so many nodes.
 
     Raises `PropagationError` where noise is too small for sums over nodes, or no lattice holds the density.

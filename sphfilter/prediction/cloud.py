@@ -42,7 +42,7 @@ from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.domain import Domain
 from ..model.dynamics import Dynamics
 from ..model.sde import SDE
-from ._shared import blow_up, carried_off, skip_notes
+from ._shared import Predicted, blow_up, carried_off, skip_notes
 from .time_slices import slices_at
 
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
@@ -55,32 +55,15 @@ def propagate(
     scheme: CloudScheme,
     n_particles: int | None = None,
     target: float = 0.0,
-) -> tuple[ParticleDensity, PredictInfo]:
-    """Carry a density to time t1 as weighted points, and a smaller cloud beside it that tells the error.
+) -> Predicted:
+    """Carry a density to time t1, seconds, as weighted points, and a smaller cloud beside it that tells the
+    error.
 
     Steps are of weak order three where the noise does not depend on the state, else two; none are needed for
-    a linear model. Their length follows from how far steps of half the length lead apart.
-
-    Parameters
-    ----------
-    density : ParticleDensity
-    model : SDE or DiscreteModel
-    t1 : float
-        Seconds.
-    scheme : CloudScheme
-    n_particles : int, optional
-        Bound of the next lattice's nodes, which the density keeps as its capacity.
-    target : float
-        Error of the mean that is asked for, in standard deviations: steps need not be better.
-
-    Returns
-    -------
-    ParticleDensity, PredictInfo
-
-    Raises
-    ------
-    PropagationError
-        The model carries a tenth of the probability to infinity, or needs more steps than allowed.
+    a linear model. Their length follows from how far steps of half the length lead apart, and need not be
+    better than the target, an error of the mean in standard deviations, asks. `n_particles` bounds the next
+    lattice's nodes, and is kept as the density's capacity. Raises `PropagationError` if the model carries a
+    tenth of the probability to infinity, or needs more steps than allowed.
     """
     state, span = as_points(density, scheme.n_points), (density.t, t1)
     moved = carried_cloud(state, model, span, scheme, target, density.domain)

@@ -21,7 +21,7 @@ from ..errors import ConfigError, PropagationError, StoppedError
 from ..info import DOUBTFUL, Code, PredictInfo, may_be_off
 from ..model.compile import surfacing
 from ..model.sde import SDE
-from ._shared import blow_up, skip_notes
+from ._shared import Predicted, blow_up, skip_notes
 from .time_slices import drift_slices, noise_samples
 
 HIGHEST = 6  # degree that is taken unless another is asked for
@@ -60,18 +60,11 @@ def fits_density(density: ParticleDensity) -> str:
 
 def propagate(
     density: ParticleDensity, model: SDE, t1: float, scheme: FamilyScheme, n_particles: int
-) -> tuple[ParticleDensity, PredictInfo]:
-    """Carry a density to time t1 as one exponential family.
+) -> Predicted:
+    """Carry a density to time t1, seconds, as one exponential family.
 
-    Returns
-    -------
-    ParticleDensity, PredictInfo
-
-    Raises
-    ------
-    PropagationError
-        No polynomial follows the density, the drift is not finite where it is, or more steps are needed than
-        allowed: says when, where, and what to change.
+    Raises `PropagationError` if no polynomial follows the density, the drift is not finite where it is, or
+    more steps are needed than allowed: says when, where, and what to change.
     """
     reason = why_not(model, density)
     if reason:
@@ -87,7 +80,7 @@ def carried_family(
     scheme: FamilyScheme,
     n_particles: int,
     most: float = _LOST,
-) -> tuple[ParticleDensity, PredictInfo]:
+) -> Predicted:
     """Carry a density that fits as a family of a scheme's degree, whose steps may add an error of `most`."""
     n, degree = density.dim, scheme.degree
     assert degree is not None

@@ -114,11 +114,7 @@ class Way(NamedTuple):
 
 
 def carried_with_jumps(
-    modes: ModeDensities,
-    model: JumpMarkovModel,
-    way: Way,
-    count: int,
-    target: float,
+    modes: ModeDensities, model: JumpMarkovModel, way: Way, count: int, target: float
 ) -> tuple[ModeDensities, dict[int, PredictInfo]]:
     """Carry the densities of all modes over an interval as clouds; and what is said of each, by its number.
 

@@ -26,6 +26,7 @@ from ..model.discretization import linear_transition
 from ..model.dynamics import Dynamics
 from ..model.sde import SDE
 from . import automatic, chapman_kolmogorov, cloud, family, pieces
+from ._shared import Predicted
 from .again import MOST_WORK
 from .to_target import Time, carried_to_target
 
@@ -73,24 +74,10 @@ def best_family(
 ) -> tuple[Found, int, float] | None:
     """The first degree of a family whose added error is allowed, else the best; None where none will do.
 
-    One that is somewhat off is taken where what comes next would not be better.
-
-    Parameters
-    ----------
-    density : ParticleDensity
-        That the step begins with.
-    target : float
-        Standard deviations.
-    needs : Memory
-    first : int
-        Degree that is tried first.
-    attempt : callable
-        A degree, and the most error, to what comes of the step and the error that it adds; it may raise
-        `PropagationError`.
-
-    Returns
-    -------
-    What came of the step, its degree, and the error over its budget; or None
+    One that is somewhat off is taken where what comes next would not be better. Of a step that begins with a
+    density, `attempt` makes what comes of a degree, and the error that it adds, standard deviations, of the
+    most that it may; it may raise `PropagationError`. The degree `first` is tried first. Returns what came of
+    the step, its degree, and the error over its budget.
     """
     allowed = error_budget(density.error, target) * needs.shared
     best, most = None, tolerated_excess(density.dim) * allowed
@@ -106,31 +93,11 @@ def best_family(
     return best
 
 
-def propagate(
-    density: ParticleDensity, model: Dynamics, t1: float, target: float, time: Time
-) -> tuple[ParticleDensity, PredictInfo]:
-    """Carry a density to time t1 as cheaply as the target error allows.
+def propagate(density: ParticleDensity, model: Dynamics, t1: float, target: float, time: Time) -> Predicted:
+    """Carry a density to time t1, seconds, as cheaply as the target error allows.
 
-    Parameters
-    ----------
-    density : ParticleDensity
-    model : SDE or DiscreteModel
-    t1 : float
-        Seconds.
-    target : float
-        Error of the mean, in standard deviations, that the record may have.
-    time : Time
-        What a time budget leaves.
-
-    Returns
-    -------
-    ParticleDensity, PredictInfo
-        The info's scheme names the rung.
-
-    Raises
-    ------
-    PropagationError
-        The model carries the density to infinity.
+    The info's scheme names the rung. The target is the error of the mean, in standard deviations, that the
+    record may have. Raises `PropagationError` if the model carries the density to infinity.
     """
     needs = (density.needs or Memory()).gone_on()
     if density.gaussian and model.linear and model.domain.unbounded:
@@ -157,9 +124,7 @@ def propagate(
     return _by_lattice(density, model, t1, target, needs, time)
 
 
-def _closed_form(
-    density: ParticleDensity, model: Dynamics, t1: float, needs: Memory
-) -> tuple[ParticleDensity, PredictInfo]:
+def _closed_form(density: ParticleDensity, model: Dynamics, t1: float, needs: Memory) -> Predicted:
     """Move a Gaussian by a linear model."""
     mean, cov = moments_on_line(density)
     transition, offset, Q = linear_transition(model, t1 - density.t)
@@ -174,10 +139,10 @@ def _closed_form(
 
 def _by_family(
     density: ParticleDensity, model: SDE, t1: float, target: float, needs: Memory
-) -> tuple[ParticleDensity, PredictInfo] | None:
+) -> Predicted | None:
     """Carry one family, of as high a degree as the error asks for; None where none will do."""
 
-    def carried(degree: int, most: float) -> tuple[tuple[ParticleDensity, PredictInfo], float]:
+    def carried(degree: int, most: float) -> tuple[Predicted, float]:
         scheme = FamilyScheme(degree=degree, tolerance=LITTLE * target)
         moved, info = family.carried_family(density, model, t1, scheme, density.capacity or 0, most)
         return (moved, info), math.sqrt(max(info.error**2 - density.error**2, 0.0))
@@ -191,7 +156,7 @@ def _by_family(
 
 def _by_pieces(
     density: ParticleDensity, model: Dynamics, t1: float, target: float, needs: Memory
-) -> tuple[ParticleDensity, PredictInfo]:
+) -> Predicted:
     """Carry Gaussians each by itself; one family takes their place where it holds what they become."""
     allowed = error_budget(density.error, target)
     moved, info = pieces.carried_pieces(density, model, t1, allowed)
@@ -201,7 +166,7 @@ def _by_pieces(
 
 def _by_cloud(
     density: ParticleDensity, model: Dynamics, t1: float, target: float, needs: Memory
-) -> tuple[ParticleDensity, PredictInfo]:
+) -> Predicted:
     """Carry as many points as the target asks for."""
     points = needs.cloud(target, density.dim)
     moved, info = cloud.propagate(density, model, t1, CloudScheme(n_points=points), target=target)
@@ -210,10 +175,10 @@ def _by_cloud(
 
 def _by_sums(
     density: ParticleDensity, model: DiscreteModel, t1: float, target: float, needs: Memory, time: Time
-) -> tuple[ParticleDensity, PredictInfo]:
+) -> Predicted:
     """Carry a density by a model in discrete time: by sums over a lattice, or as points."""
 
-    def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
+    def predicted(nodes: int) -> Predicted:
         return chapman_kolmogorov.propagate(density, model, t1, nodes)
 
     by_cloud = needs.cloud(target, model.dim) <= chapman_kolmogorov.AS_SUMS.get(model.dim, MOST_POINTS)
@@ -229,13 +194,13 @@ def _by_sums(
 
 def _by_lattice(
     density: ParticleDensity, model: SDE, t1: float, target: float, needs: Memory, time: Time
-) -> tuple[ParticleDensity, PredictInfo]:
+) -> Predicted:
     """Carry log p on as many nodes as the target asks for."""
     allowed = time.for_lattices(density, target)
     bound = MOST_WORK if needs.smooth else _WORK * needs.cloud(target, density.dim)
     work = bound if allowed else math.inf
 
-    def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
+    def predicted(nodes: int) -> Predicted:
         laid = on_lattice(density, nodes)
         return automatic.propagate(laid, model, t1, nodes, allowed=allowed, most_work=work)
 

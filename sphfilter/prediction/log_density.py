@@ -55,7 +55,7 @@ from ..lattice.level_set import (
 from ..model.compile import surfacing
 from ..model.derived import scales
 from ..model.sde import SDE
-from ._shared import blow_up, skip_notes
+from ._shared import Predicted, blow_up, skip_notes
 from .again import FINEST, MOST
 from .time_slices import drift_slices, noise_samples
 
@@ -104,19 +104,14 @@ def propagate(
     n_particles: int,
     allowed: float = 0.0,
     most_work: float = math.inf,
-) -> tuple[ParticleDensity, PredictInfo]:
+) -> Predicted:
     """Carry a density that has a `field` to time t1, seconds, on lattices of at most n_particles nodes.
 
-    Raises `PropagationError` where the drift is not finite where particles are, the lattice cannot hold the
-    density, or too much probability was lost on the way: it says when, where, and what to change.
-
-    Parameters
-    ----------
-    allowed : float
-        Error of the mean, in standard deviations, that is shared out over steps and lattices: each of these
-        then has the nodes that its share asks for, and the first one n_particles. Zero: as many as there are.
-    most_work : float
-        Evaluations of the drift, after which it is given up.
+    An `allowed` error of the mean, in standard deviations, is shared out over steps and lattices: each of
+    these then has the nodes that its share asks for, and the first one n_particles. Zero: as many as there
+    are. Raises `PropagationError` where the drift is not finite where particles are, the lattice cannot hold
+    the density, too much probability was lost on the way, or after `most_work` evaluations of the drift: it
+    says when, where, and what to change.
     """
     start, n = density.t, density.dim
     allowed = allowed if n in _LATTICES_PART else 0.0

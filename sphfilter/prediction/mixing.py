@@ -60,26 +60,12 @@ class Part(NamedTuple):
 
 
 def mixed(parts: Sequence[Part], target: float, errors: tuple[float, float]) -> ParticleDensity:
-    """The sum of densities of one time, as one density.
+    """The sum of densities of one time, as one density, whose `error` has what its parts were wrong by, and
+    what has been added.
 
-    Parameters
-    ----------
-    parts : sequence of Part
-        The logarithms of their weights need not be normalised; one at least is finite.
-    target : float
-        Error of the mean, in standard deviations, that a record may have.
-    errors : tuple of float
-        That may be added by merging Gaussians, and by laying a lattice.
-
-    Returns
-    -------
-    ParticleDensity
-        With what its parts were wrong by, and what has been added, in its `error`.
-
-    Raises
-    ------
-    PropagationError
-        Nothing holds the sum.
+    The logarithms of the parts' weights need not be normalised; one at least is finite. The target is the
+    error of the mean, in standard deviations, that a record may have, and `errors` are those that merging
+    Gaussians, and laying a lattice, may add. Raises `PropagationError` if nothing holds the sum.
     """
     allowed, by_lattice = errors
     parts, lost = _heavy(_joined(parts), allowed)

@@ -23,7 +23,7 @@ from ..info import PredictInfo
 from ..model.compile import surfacing
 from ..model.domain import Domain
 from ..model.sde import SDE
-from ._shared import blow_up, skip_notes
+from ._shared import Predicted, blow_up, skip_notes
 
 #: Particles from which kernel sums are spread over threads; by their number alone, so that the thread
 #: count never changes a bit of the result.
@@ -35,7 +35,7 @@ _RUN_AWAY = 1e3  # extents of the cloud
 
 def propagate(
     density: ParticleDensity, model: SDE, t1: float, scheme: PaperScheme, n_particles: int
-) -> tuple[ParticleDensity, PredictInfo]:
+) -> Predicted:
     """Carry a density to time t1 with v = f - div D - D grad p / p.
 
     Steps that have become too small mean that particles have run together (002 section 5.1): they are put on

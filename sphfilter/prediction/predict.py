@@ -5,7 +5,7 @@ from time import perf_counter
 from typing import Any, Literal, NamedTuple
 
 from .._types import Interval
-from ..config import CloudScheme, FamilyScheme, FilterConfig, LogDensityScheme, PaperScheme, SolverConfig
+from ..config import AnyConfig, CloudScheme, FamilyScheme, LogDensityScheme, PaperScheme, SolverConfig
 from ..density.cloud import passages_of
 from ..density.memory import Memory
 from ..density.particle_density import ParticleDensity
@@ -20,8 +20,9 @@ from ..model.sde import SDE
 from ..model.timing import spans
 from ..validate import count, end_of
 from . import automatic, chapman_kolmogorov, cloud, family, ladder, log_density, paper
+from ._shared import Predicted
 from .again import Ladder, Outcome, or_as_cloud
-from .exact import propagate_exactly
+from .pieces import propagate_exactly
 from .to_target import ALWAYS, Time, carried_to_target
 
 
@@ -29,14 +30,14 @@ def predict(
     density: ParticleDensity,
     model: Dynamics,
     dt: Interval | None = None,
-    config: SolverConfig | FilterConfig | None = None,
+    config: AnyConfig | None = None,
     *,
     t: float | None = None,
     n_particles: int | Literal["auto"] | None = None,
     most_particles: int | None = None,
     goes_on: bool = True,
     time: Time = ALWAYS,
-) -> tuple[ParticleDensity, PredictInfo]:
+) -> Predicted:
     """Carry a density over dt seconds, or to time t.
 
     Parameters
@@ -128,26 +129,21 @@ def _check_steps(model: Dynamics, scheme: Any, t0: float, t1: float) -> None:
 
 
 def _to_target(
-    density: ParticleDensity,
-    model: Dynamics,
-    t1: float,
-    config: SolverConfig | FilterConfig,
-    target: float,
-    time: Time,
-) -> tuple[ParticleDensity, PredictInfo]:
+    density: ParticleDensity, model: Dynamics, t1: float, config: AnyConfig, target: float, time: Time
+) -> Predicted:
     """Carry a density to time t1, up to which the model does not jump, with a target error."""
     scheme = config.scheme
     if not isinstance(scheme, LogDensityScheme):
         return ladder.propagate(density, model, t1, target, time)
 
-    def on(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
+    def on(nodes: int) -> Predicted:
         allowed = time.for_lattices(density, target)
         if isinstance(model, DiscreteModel):
             return chapman_kolmogorov.propagate(density, model, t1, nodes)
         assert isinstance(model, SDE)
         return log_density.propagate(on_lattice(density, nodes), model, t1, scheme, nodes, allowed)
 
-    def predicted(nodes: int) -> tuple[ParticleDensity, PredictInfo]:
+    def predicted(nodes: int) -> Predicted:
         try:
             return on(nodes)
         except (LatticeError, UnresolvedError) as problem:
@@ -162,11 +158,11 @@ def _on_particles(
     density: ParticleDensity,
     model: Dynamics,
     t1: float,
-    config: SolverConfig | FilterConfig,
+    config: AnyConfig,
     n_particles: int,
     most_particles: int | None,
     goes_on: bool,
-) -> tuple[ParticleDensity, PredictInfo]:
+) -> Predicted:
     """Carry a density to time t1, up to which the model does not jump, on a number of particles."""
     as_it_is = isinstance(config.scheme, FamilyScheme | CloudScheme) or isinstance(model, DiscreteModel)
     density = density if as_it_is else on_lattice(density, n_particles)
@@ -178,7 +174,7 @@ def _on_particles(
         return _in_steps(density, model, t1, config.scheme, n_particles)
     assert isinstance(model, SDE)
 
-    def predicted(config: SolverConfig | FilterConfig) -> Outcome[PredictInfo]:
+    def predicted(config: AnyConfig) -> Outcome[PredictInfo]:
         if config.scheme == "auto":
             moved = automatic.propagate(density, model, t1, n_particles, most_particles)
         else:
@@ -192,7 +188,7 @@ def _on_particles(
 
 def _in_steps(
     density: ParticleDensity, model: DiscreteModel, t1: float, scheme: Any, n_particles: int
-) -> tuple[ParticleDensity, PredictInfo]:
+) -> Predicted:
     """Carry a density by a model in discrete time: on a lattice of so many nodes, or as a cloud."""
     if not isinstance(scheme, CloudScheme):
         reason = chapman_kolmogorov.why_not(model)
@@ -236,7 +232,7 @@ class Prediction(NamedTuple):
         """Models and ends of the predictions since `before`, this one the last."""
         return () if self.model is None else (*self.earlier, (self.model, self.t))
 
-    def repeated(self, config: SolverConfig | FilterConfig, n_particles: int) -> ParticleDensity:
+    def repeated(self, config: AnyConfig, n_particles: int) -> ParticleDensity:
         """The density it ended with on another number of particles."""
         assert self.before is not None
         return self.from_density(self.before, config, n_particles)
@@ -249,9 +245,7 @@ class Prediction(NamedTuple):
         return density
 
 
-def load(
-    model: Dynamics, density: ParticleDensity, config: SolverConfig | FilterConfig
-) -> CloudScheme | PaperScheme | None:
+def load(model: Dynamics, density: ParticleDensity, config: AnyConfig) -> CloudScheme | PaperScheme | None:
     """Compile what predictions call only now and then; returns the scheme they may fall back on, or None."""
     if isinstance(config.scheme, PaperScheme | CloudScheme | FamilyScheme):
         return None

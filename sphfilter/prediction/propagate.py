@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._types import Floats, ReadOut
-from ..config import FilterConfig, RemeshRule, SolverConfig
+from ..config import AnyConfig, RemeshRule, SolverConfig
 from ..density.particle_density import ParticleDensity
 from ..density.resample import max_particles_of
 from ..density.storage import density_from, load_arrays, part, stored, under, write_arrays
@@ -89,7 +89,7 @@ def propagate(
     density: ParticleDensity,
     model: Dynamics,
     times: ArrayLike,
-    config: SolverConfig | FilterConfig | None = None,
+    config: AnyConfig | None = None,
     *,
     n_particles: int | None = None,
     callback: Callable[[ParticleDensity, PredictInfo], object] | None = None,
@@ -156,7 +156,7 @@ def _piecewise(
     density: ParticleDensity,
     model: Dynamics,
     t: float,
-    config: SolverConfig | FilterConfig,
+    config: AnyConfig,
     remeshing: Remeshing,
     origin: Prediction | None,
 ) -> tuple[ParticleDensity, PredictInfo, Prediction | None]:
@@ -182,7 +182,7 @@ def _carried(
     t: float,
     n_particles: int,
     origin: Prediction | None,
-    config: SolverConfig | FilterConfig,
+    config: AnyConfig,
 ) -> Outcome[PredictInfo]:
     """The `Outcome` of one interval, the one before made again where it left too coarse a density."""
     options: dict[str, Any] = {"t": t, "n_particles": n_particles, "goes_on": False}

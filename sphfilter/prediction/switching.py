@@ -83,17 +83,10 @@ def predict_modes(
 ) -> tuple[ModeDensities, ModesInfo]:
     """Carry the densities of all modes to time t1, seconds, later than they are.
 
-    Raises `PropagationError` if a mode that is not unlikely cannot be carried; it says why.
-
-    Parameters
-    ----------
-    n_particles : int or "auto"
-        As of `predict`.
-    n_substeps : int, optional
-        Steps of the splitting; as many as its error asks for if not given.
-    finer, apart : float
-        Times less than usual, that the error of the splitting is to be, and that mergers of Gaussians are to
-        change.
+    The splitting has as many steps as its error asks for, unless `n_substeps` are given; that error is to be
+    `finer` times less than usual, and mergers of Gaussians are to change `apart` times less. The number of
+    particles is as of `predict`. Raises `PropagationError` if a mode that is not unlikely cannot be carried;
+    it says why.
     """
     t0, target, jumps = modes.heaviest.t, config.target_error, model.rates.any()
     steps, off = 1, [no_ripple(model.dim) for _ in model.names]

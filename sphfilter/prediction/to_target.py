@@ -10,6 +10,7 @@ from ..density.memory import AIMED, error_budget, min_nodes
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError, StoppedError
 from ..info import Code, PredictInfo
+from ._shared import Predicted
 from .again import MOST
 
 
@@ -37,7 +38,7 @@ ORDER = 1.5  # the error falls about as N^-1.5
 
 def carried_to_target(
     density: ParticleDensity,
-    predicted: Callable[[int], tuple[ParticleDensity, PredictInfo]],
+    predicted: Callable[[int], Predicted],
     target: float,
     n_particles: int,
     time: Time = ALWAYS,
@@ -45,21 +46,11 @@ def carried_to_target(
 ) -> tuple[ParticleDensity, PredictInfo, int]:
     """Predict on a lattice, again with more nodes where the estimated error is above the target.
 
-    Returns what was predicted, and the number of nodes for the next step. Raises `PropagationError` if the
-    first try could not be made, or the one that the target asks for next is too much work.
-
-    Parameters
-    ----------
-    predicted : callable
-        A number of nodes to a prediction of the density.
-    target : float
-        Standard deviations.
-    n_particles : int
-        Of the first try.
-    time : Time, optional
-        What a time budget leaves.
-    most_work : float
-        Evaluations of the drift that all tries may take together.
+    `predicted` makes the prediction of the density on a number of nodes, of which the first try has
+    `n_particles`; the target is in standard deviations, and all tries may take `most_work` evaluations of the
+    drift together. Returns what was predicted, and the number of nodes for the next step. Raises
+    `PropagationError` if the first try could not be made, or the one that the target asks for next is too
+    much work.
     """
     best: tuple[ParticleDensity, PredictInfo, int] | None = None
     ratio, allowed, work = math.inf, error_budget(density.error, target), 0.0

@@ -50,11 +50,7 @@ def test_an_interrupt_ends_all_and_keeps_what_is_finished(times, tmp_path):
     call = [sys.executable, str(script), str(folder)]
     for _ in range(times):
         running = subprocess.Popen(
-            [*call, "5000"],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-            **APART,
+            [*call, "5000"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, **APART
         )
         assert running.stdout.readline()  # it has begun
         time.sleep(chance.uniform(0.0, 3.0))

@@ -1,6 +1,5 @@
 """`sphfilter`: every verb on a small record, dates kept, what is wrong in a sentence, stopping."""
 
-import csv
 import json
 import os
 import signal
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from csv_rows import csv_rows
 
 import sphfilter as sf
 from sphfilter.command import doctor, filtering, fitting, progress
@@ -53,11 +53,6 @@ def files(tmp_path, monkeypatch):
     return ["--model", "tank.toml", "--data", "tank.csv"]
 
 
-def rows(path):
-    with open(path, newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
 def fitted():
     return json.loads(Path("fit.json").read_text(encoding="utf-8"))
 
@@ -76,7 +71,7 @@ def textbook():
 
 def test_filter_keeps_dates_and_is_exact(files, tmp_path, capsys):
     assert main(["filter", *files]) == 0
-    found = rows("results/tank/estimates.csv")
+    found = csv_rows("results/tank/estimates.csv")
     assert [row["day"] for row in found] == DAYS
     told = [(float(row["x"]), float(row["x_std"])) for row in found]
     np.testing.assert_allclose(told, textbook(), rtol=1e-9)
@@ -97,7 +92,7 @@ def test_without_matplotlib_it_says_so(files, monkeypatch, capsys):
 def test_forecast_keeps_dates(files, tmp_path):
     ahead = ["--until", "2024-03-06", "--steps", "2", "--quantiles", ".1,.9", "--out", "out"]
     assert main(["forecast", *files, *ahead]) == 0
-    found = rows("out/forecast.csv")
+    found = csv_rows("out/forecast.csv")
     assert [row["day"] for row in found] == ["2024-03-04", "2024-03-06"]
     m, s = textbook()[-1]
     mean, std = m * np.exp(-1.6), np.sqrt(s**2 * np.exp(-3.2) + 0.625 * (1 - np.exp(-3.2)))
@@ -108,7 +103,7 @@ def test_forecast_keeps_dates(files, tmp_path):
 
 def test_simulate_fit_compare(files, capsys):
     assert main(["simulate", "--model", "tank.toml", "--times", "0:30:0.5", "--out", "sim.csv"]) == 0
-    assert len(rows("sim.csv")) == len(rows("sim_truth.csv")) == 61
+    assert len(csv_rows("sim.csv")) == len(csv_rows("sim_truth.csv")) == 61
     data = ["--data", "sim.csv"]
     assert (
         main(["fit", "--model", "tank.toml", *data, "--parameters", "a", "--bounds", "a=0:", "--out", "."])
@@ -164,7 +159,7 @@ def test_what_is_finished_is_written(files, stop, code, monkeypatch, capsys):
 
     monkeypatch.setattr(filtering, "through", half)
     assert main(["filter", *files]) == code
-    assert 1 < len(rows("results/tank/estimates.csv")) < 4
+    assert 1 < len(csv_rows("results/tank/estimates.csv")) < 4
     assert f"sphfilter: {str(stop) or 'stopped'}; estimates of the first" in capsys.readouterr().err
 
 
@@ -210,17 +205,8 @@ def test_a_folder_that_cannot_be_made(files, capsys):
 
 @pytest.mark.slow
 def test_ctrl_c_ends_the_program_with_a_sentence(files):
-    words = [
-        sys.executable,
-        "-m",
-        "sphfilter",
-        "forecast",
-        *files,
-        "--until",
-        "2024-03-06",
-        "--steps",
-        "200000",
-    ]
+    ahead = ["--until", "2024-03-06", "--steps", "200000"]
+    words = [sys.executable, "-m", "sphfilter", "forecast", *files, *ahead]
     natural = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # scripts in the background ignore it
     root = {"PYTHONPATH": str(Path(sf.__file__).parents[1])}
     with subprocess.Popen(

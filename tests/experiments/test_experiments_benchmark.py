@@ -1,12 +1,12 @@
 """The benchmark: measures against closed forms, references, rows on disk, and the command end to end."""
 
-import csv
 import json
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from csv_rows import csv_rows
 
 from experiments import __main__ as commands
 from experiments.benchmark import expensive, overview, reference, tables
@@ -353,8 +353,7 @@ def folder(tmp_path_factory):
 
 
 def test_command_writes_numbers_tables_and_pictures(folder):
-    with open(folder / "benchmark.csv", encoding="utf-8") as file:
-        rows = {(row["family"], row["size"]): row for row in csv.DictReader(file)}
+    rows = {(row["family"], row["size"]): row for row in csv_rows(folder / "benchmark.csv")}
     assert set(rows) == {("ekf", "0"), ("pf", "100"), ("pf", "2000"), ("kf", "0")}
     assert float(rows["kf", "0"]["mean"]) == 0
     assert float(rows["pf", "2000"]["mean"]) < 0.6 * float(rows["pf", "100"]["mean"])
@@ -385,8 +384,7 @@ def test_command_tells_who_wins_with_an_expensive_drift(tmp_path, capsys):
     assert commands.main(["benchmark", "expensive", *_QUICK, "--set", "times.end=5", *arguments]) == 0
     said = capsys.readouterr().out
     assert "van_der_pol with an expensive drift" in said
-    with open(tmp_path / "expensive.csv", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(tmp_path / "expensive.csv")
     at_the_same_error = [float(row["seconds"]) for row in rows if row["error"] == "0.1"]
     assert at_the_same_error == sorted(at_the_same_error)
     assert (tmp_path / "expensive.png").stat().st_size > 10_000

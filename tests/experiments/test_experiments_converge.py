@@ -1,9 +1,8 @@
 """The command that shows the order of convergence against an exact filter."""
 
-import csv
-
 import numpy as np
 import pytest
+from csv_rows import csv_rows
 
 from experiments.__main__ import main
 from experiments.converge.filters import orders
@@ -23,8 +22,7 @@ def test_command_writes_table_and_picture(which, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "order in dx" in said
     assert "100 particles: run 1 of 1 done" in said and "200 particles: run 1 of 1 done" in said
-    with open(tmp_path / "convergence.csv", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(tmp_path / "convergence.csv")
     assert [row["particles"] for row in rows] == ["100", "200"]
     assert all(0 < float(row["cov"]) < 1 and np.isfinite(float(row["evidence"])) for row in rows)
     assert (tmp_path / "convergence.png").stat().st_size > 10_000
@@ -58,8 +56,7 @@ def test_more_nodes_are_no_worse(arguments, stem, floor, tmp_path, capsys):
     assert main(["converge", *arguments, "--counts", "50,200", "--runs", "1", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert "above the floor: none" in said and max(map(len, said.splitlines())) <= 100
-    with open(tmp_path / f"{stem}.csv", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(tmp_path / f"{stem}.csv")
     assert [row["particles"] for row in rows] == ["50", "200"] * (len(rows) // 2)
     assert all(row["refused"] == "0" and float(row["floor"]) == floor for row in rows)
     assert all(0 < float(row["mean"]) < 10.0 * float(row["told"]) + floor for row in rows)

@@ -1,9 +1,8 @@
 """`converge` for transient densities: orders over particles and steps, refusals."""
 
-import csv
-
 import numpy as np
 import pytest
+from csv_rows import csv_rows
 from scipy.stats import multivariate_normal
 
 import sphfilter as sf
@@ -146,11 +145,6 @@ def test_a_cell_that_fails_is_a_sentence_and_the_others_go_on():
     assert "given up" in cell.failure and "t = 1 of 2" in cell.failure and "--limit" in cell.failure
 
 
-def rows_of(path):
-    with open(path, encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
 @pytest.mark.parametrize(
     ("arguments", "file", "n_rows"),
     [
@@ -165,7 +159,7 @@ def test_commands_write_table_and_picture(arguments, file, n_rows, tmp_path, cap
     assert main(["converge", *arguments, "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert f"{file}.csv" in said and f"{file}.png" in said
-    rows = rows_of(tmp_path / f"{file}.csv")
+    rows = csv_rows(tmp_path / f"{file}.csv")
     assert len(rows) == n_rows and not any(row["failure"] for row in rows)
     assert (tmp_path / f"{file}.png").stat().st_size > 10_000
 

@@ -1,11 +1,11 @@
 """Sweeps: cells, rows, table, sentences, pictures, and the command on a small scene."""
 
 import argparse
-import csv
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from csv_rows import csv_rows
 
 from experiments.arguments.sweep import add_arguments
 from experiments.scene.scenario import load_scenario, read_settings
@@ -80,8 +80,7 @@ def test_sentences_name_the_places_and_what_the_others_do_there():
 
 def test_files_say_the_same_as_the_rows(tmp_path):
     tables.write(tmp_path, rows(), "scene")
-    with open(tmp_path / "sweep.csv", encoding="utf-8") as file:
-        back = list(csv.DictReader(file))
+    back = csv_rows(tmp_path / "sweep.csv")
     assert [float(row["rms_ratio"]) for row in back] == [row["rms_ratio"] for row in rows()]
     lines = (tmp_path / "sweep.md").read_text().splitlines()
     assert lines[5] == "| 2 | 0.5 | 1 | 4 of 10 | 4.00 | 1 of 10 | 1.00 | 0 of 10 | 1.00 |"

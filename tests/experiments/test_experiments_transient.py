@@ -1,11 +1,11 @@
 """`python -m experiments transient`: files are readable, solutions agree with closed forms, runs resume."""
 
-import csv
 import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from csv_rows import csv_rows
 
 import sphfilter as sf
 from experiments.__main__ import main
@@ -94,8 +94,7 @@ def test_the_command_writes_numbers_and_pictures(tmp_path, capsys, own):
     assert {p.name for p in out.iterdir()} == files | pictures
     assert gif.read_bytes().startswith(b"GIF")
     way = sf.Trajectory.load(out / "trajectory.npz")
-    with open(out / "statistics.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(out / "statistics.csv")
     assert [float(row["t"]) for row in rows] == list(way.times) == [0.5, 1.0]
     assert float(rows[1]["E[x^4]"]) == pytest.approx(float(rows[1]["E[x^4] reference"]), rel=1e-3)
     assert json.loads((out / "run.json").read_text())["settings"]["solver"]["n_particles"] == 60
@@ -187,8 +186,7 @@ def test_a_table_shows_what_was_asked_for_beside_the_reference(own, tmp_path, ca
     for text in ("E[x]", "std x", "E[x^4]", "P(abs(x) > 1.5 or x < -1)", "0.5  SPH", "     reference"):
         assert text in said
     assert "E[x^2]" not in said and "…" not in said
-    with open(tmp_path / "out" / "statistics.csv", encoding="utf-8") as file:
-        row = next(csv.DictReader(file))
+    row = csv_rows(tmp_path / "out" / "statistics.csv")[0]
     assert float(row["std x"]) == pytest.approx(float(row["std x reference"]), rel=1e-3)
     assert main([*words, "--columns", "all"]) == 0
     assert "E[x^2]" in capsys.readouterr().out

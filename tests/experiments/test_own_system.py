@@ -1,6 +1,5 @@
 """A user's own transient system: the file that help prints, all that the thesis' input file offers, films."""
 
-import csv
 import inspect
 import json
 import sys
@@ -9,6 +8,7 @@ import tomllib
 import numpy as np
 import pytest
 import tomli_w
+from csv_rows import csv_rows
 from scipy import stats
 from transient_help import EXAMPLE, KEYS
 
@@ -68,8 +68,7 @@ def undrawn(monkeypatch):
 
 
 def rows(path):
-    with open(path, newline="") as file:
-        return [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
+    return [{k: float(v) for k, v in row.items()} for row in csv_rows(path)]
 
 
 def exact(t):
@@ -88,7 +87,7 @@ def test_the_example_of_the_help_runs_as_printed(tmp_path, capsys):
     out, gif = tmp_path / "out", tmp_path / "my.gif"
     words = ["--config", str(tmp_path / "my.toml"), "--out", str(out), "--animate", str(gif)]
     assert main(["transient", *words]) == 0
-    table = rows_of_statistics(out)
+    table = csv_rows(out / "statistics.csv")
     assert [float(row["t"]) for row in table] == list(np.arange(1, 9) / 4)
     for row in table:  # a coarse lattice and the published scheme against 20 000 paths
         ours, paths = (float(row[f"E[x^2]{end}"]) for end in ("", " reference"))
@@ -102,11 +101,6 @@ def test_the_example_of_the_help_runs_as_printed(tmp_path, capsys):
     assert sorted(p.stem for p in (out / "particles").iterdir()) == kept
     assert list(sf.Trajectory.load(out / "trajectory.npz").times) == [0.5, 1.0, 1.5, 2.0]
     assert gif.read_bytes().startswith(b"GIF")
-
-
-def rows_of_statistics(out):
-    with open(out / "statistics.csv", newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def test_every_key_of_the_thesis_has_an_answer():

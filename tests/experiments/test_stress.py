@@ -1,6 +1,5 @@
 """Hard and random problems: generators, relations, referees, the judge judged, the pool, the command."""
 
-import csv
 import os
 import time
 from dataclasses import replace
@@ -8,6 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from csv_rows import csv_rows
 from scipy.integrate import trapezoid
 from stress_cases import (
     BreakingFilter,
@@ -293,11 +293,6 @@ def test_errors_told_are_counted_beside_those_made_that_stand_out_of_the_referen
     assert told.draw(tmp_path / "told.png", found).stat().st_size > 10_000
 
 
-def _rows(path):
-    with open(path, encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
 @pytest.mark.parametrize(
     "options, name, reference, n_parts",
     [
@@ -311,7 +306,7 @@ def test_command_writes_its_files_and_resumes(options, name, reference, n_parts,
     command = ["stress", *options, "--limit", "1800", "--out", str(tmp_path)]
     assert main(command) == 0
     said = capsys.readouterr().out
-    (row,) = _rows(tmp_path / f"{name}.csv")
+    (row,) = csv_rows(tmp_path / f"{name}.csv")
     assert row["reference"] == reference and row["verdict"] == "right" and float(row["mean_error"]) < 0.2
     assert row["seed"] == "1" and row["relations"].count("holds") == n_parts - 2
     text = (tmp_path / f"{name}.md").read_text()
@@ -337,7 +332,7 @@ def test_the_default_filter_is_judged_beside_the_one_of_so_many_particles(tmp_pa
     assert main(["stress", "--random-case", "1:12", "--out", str(tmp_path)]) == 0
     assert main(["stress", "--random-case", "1:12", "--out", str(tmp_path), "--auto"]) == 0
     assert "auto particles" in capsys.readouterr().out
-    (row,) = _rows(tmp_path / "random.csv")
+    (row,) = csv_rows(tmp_path / "random.csv")
     assert row["n_particles"] == "auto" and row["verdict"] == "right"
     assert len(list(tmp_path.rglob("reference.npz"))) == 1  # the same for either
     assert [len(list(tmp_path.rglob(f"{name}.npz"))) for name in ("default", "auto")] == [1, 1]
@@ -395,7 +390,7 @@ def test_default_filter_is_never_silently_wrong(options, tmp_path):
     """In processes of their own, since one that crashes or hangs would otherwise end the tests."""
     assert main(["stress", *options, "--out", str(tmp_path), "--jobs", "2"]) == 0
     (path,) = tmp_path.glob("*.csv")
-    rows, hard = _rows(path), "--quick" in options
+    rows, hard = csv_rows(path), "--quick" in options
     assert len(rows) == (len(chosen(1, quick=True)) if hard else 60)
     bad = [row for row in rows if row["verdict"] in ("wrong, silent", "crash")]
     if hard:  # may take too long, and be far off from where it openly refused a reading

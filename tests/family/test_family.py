@@ -106,10 +106,7 @@ def test_noise_that_depends_on_the_state():
 def test_the_order_of_noise_that_depends_on_the_state():
     drift, noise = (
         ["-x + 0.5*y - 0.1*x**3", "-y - 0.2*x"],
-        [
-            ["0.4*sqrt(1 + 0.3*x**2)", "0.1*y"],
-            ["0.15*y", "0.3 + 0.15*x"],
-        ],
+        [["0.4*sqrt(1 + 0.3*x**2)", "0.1*y"], ["0.15*y", "0.3 + 0.15*x"]],
     )
     model = sf.SDE.from_expressions(["x", "y"], drift, noise)
     start = sf.initialize(sf.Gaussian([1.0, 0.5], [[0.1, 0.03], [0.03, 0.15]]), 400)

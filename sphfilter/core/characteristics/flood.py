@@ -65,13 +65,12 @@ def lattice_after(back, step, mean, shape, seeds, control, state, counters):
         for a in range(n):
             for b in range(n):
                 A[a, b] = shape[a, b] * spacing
-        value, low, dims, highest, asked = flooded(back, step, mean, A, seeds, most, control, counters)
-        if value.size == 0:
+        box = flooded(back, step, mean, A, seeds, most, control, counters)
+        if box[0].size == 0:
             return _no_lattice(OUTGROWN, n)
         walls = step.noise.low, step.noise.high
-        new = relaid(value, low, dims, highest, asked, mean, A, step.sten, control.depth, walls)
-        closed = asked.size <= MOST_ASKED * most
-        count = new[1].shape[0] if closed else asked.size
+        new, asked = relaid(box, mean, A, step.sten, control.depth, walls), box[4].size
+        count = new[1].shape[0] if asked <= MOST_ASKED * most else asked
         if 0.5 * most <= count <= limit:
             break
         counters[RELAID] += 1

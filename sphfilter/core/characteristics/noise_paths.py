@@ -40,9 +40,8 @@ class Paths(NamedTuple):
 
     log_weight: np.ndarray  # (Q,)
     w: np.ndarray  # (Q, 2 m): dW, then bends
-    twist: (
-        np.ndarray
-    )  # (Q,) of noises that depend on the state, in units of `_TWIST` to the side of their bends
+    # (Q,) of noises that depend on the state, in units of `_TWIST` to the side of their bends
+    twist: np.ndarray
 
 
 class Pull(NamedTuple):

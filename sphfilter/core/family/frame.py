@@ -66,22 +66,6 @@ def weigh(log_w, n, T, w):
 
 
 @jit
-def moments_of(xi, w, b, C):
-    """Mean b (n,) and covariance C (n, n) of nodes xi (N, n) with weights w (N,) of sum one."""
-    N, n = xi.shape
-    for a in range(n):
-        b[a] = 0.0
-        for i in range(N):
-            b[a] += w[i] * xi[i, a]
-    for a in range(n):
-        for c in range(a + 1):
-            total = 0.0
-            for i in range(N):
-                total += w[i] * (xi[i, a] - b[a]) * (xi[i, c] - b[c])
-            C[a, c] = C[c, a] = total
-
-
-@jit
 def moved(b, C):
     """How far mean b and covariance C are from those of the frame: the largest of their differences."""
     n, off = b.size, 0.0

@@ -8,8 +8,9 @@ import numpy as np
 from .. import dormand_prince as dp
 from .._jit import jit
 from ..limits import TINY
+from ..small_matrices import moments
 from ..step_control import GROW, SHRINK, next_step
-from .frame import FAR, inverse, moments_of, moved, refitted, reframed, root_between, weigh
+from .frame import FAR, inverse, moved, refitted, reframed, root_between, weigh
 from .rates import DEFECT, RATES, multiplied, work
 
 OK, STALLED, TOO_MANY, NOT_FINITE, ASTRAY = range(5)
@@ -222,7 +223,7 @@ def _follow(basis, beyond, y, defect, least):
         for i in range(N):
             T[i] += c[j] * basis.V[j, i]
     weigh(basis.log_w, n, T, w)
-    moments_of(basis.xi, w, b, C)
+    moments(basis.xi, w, b, C)
     off = moved(b, C)
     if not off < FAR:
         return -1

@@ -64,24 +64,10 @@ def work(basis, state_dependent):
     """New arrays, for the polynomials of a basis or fewer."""
     (N, n), M = basis.xi.shape, basis.V.shape[0]
     rows = N if state_dependent else 1
-    return Work(
-        np.empty((N, n)),
-        np.empty((N, n)),
-        np.empty((N, 1)),
-        np.empty((rows, n * n)),
-        np.empty((rows, n)),
-        np.empty((rows, 1)),
-        np.empty((n, N)),
-        np.empty((n, N)),
-        np.empty((n, M)),
-        np.empty(M),
-        np.empty(N),
-        np.empty(N),
-        np.empty(n),
-        np.empty((n, n)),
-        np.empty((n, n)),
-        np.empty((n, n)),
-    )
+    asked = np.empty((N, n)), np.empty((N, n)), np.empty((N, 1))
+    noise = np.empty((rows, n * n)), np.empty((rows, n)), np.empty((rows, 1))
+    along = np.empty((n, N)), np.empty((n, N)), np.empty((n, M)), np.empty(M), np.empty(N), np.empty(N)
+    return Work(*asked, *noise, *along, np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, n)))
 
 
 @jit

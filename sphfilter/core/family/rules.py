@@ -35,13 +35,7 @@ def degrees(n):
 
 @cache
 def rule(n, degree):
-    """Nodes (N, n) and weights (N,) that integrate polynomials of degree 2 `degree` + 1; read-only.
-
-    Raises
-    ------
-    KeyError
-        No rule is known.
-    """
+    """Nodes (N, n) and weights (N,) that integrate polynomials of degree 2 `degree` + 1; read-only."""
     if n == 1:
         points, weights = np.polynomial.hermite_e.hermegauss(
             degree + (_MORE if degree > 3 else _MORE_OF_CUBICS)

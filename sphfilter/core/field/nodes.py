@@ -13,7 +13,7 @@ MOST_ASKED = 12  # cells asked for, over the number of particles wanted
 
 
 @jit
-def relaid(value, low, dims, highest, cells, mu, A, sten, depth, walls):
+def relaid(box, mu, A, sten, depth, walls):
     """The nodes of a flooded box above the depth, normalised, and those beside them.
 
     Mean, covariance and the integral are sums over all cells that were asked for, the ring just below the
@@ -21,14 +21,9 @@ def relaid(value, low, dims, highest, cells, mu, A, sten, depth, walls):
 
     Parameters
     ----------
-    value : ndarray, shape (cells,)
-        log p of the box's cells, `UNKNOWN` where it was not asked for.
-    low, dims : ndarray of int, shape (n,)
-        Lowest cell of the box, and its size along every axis.
-    highest : float
-        Largest value.
-    cells : ndarray of int
-        Flat numbers of the cells that were asked for.
+    box : tuple
+        Values (cells,), `UNKNOWN` where none was asked for; the lowest cell (n,), and cells (n,) along every
+        axis; the largest value; and flat numbers of the cells that were asked for.
     mu, A : ndarray, shapes (n,) and (n, n)
         Origin and vectors of the lattice.
     sten : Stencils
@@ -44,7 +39,7 @@ def relaid(value, low, dims, highest, cells, mu, A, sten, depth, walls):
         fitted to them too, where log p does not fall there by more than the depth once more. So do those
         beyond a wall.
     """
-    n = mu.size
+    (value, low, dims, highest, cells), n = box, mu.size
     found = opened(value, cells, highest - depth, dims, sten.offsets[: sten.size[0]])
     if walls[0].size > 0:
         found = _inside(found, mu, A, low, dims, walls)

@@ -69,16 +69,8 @@ def stencils(n):
     lowered = [tuple(k - (a == b) for b, k in enumerate(e)) for e, a in zip(exponents, axis, strict=True)]
     parent = [exponents.index(e) if any(e) else -1 for e in lowered]
     trend = np.array([(E.sum(1) <= degree).sum() for degree in range(1, E.sum(1).max() + 1)])
-    return Stencils(
-        offsets,
-        size,
-        int(offsets.max()),
-        rows,
-        np.array(parent),
-        np.array(axis),
-        trend[: 0 if n < 3 else None],
-        *_shifts(exponents),
-    )
+    about = offsets, size, int(offsets.max()), rows, np.array(parent), np.array(axis)
+    return Stencils(*about, trend[: 0 if n < 3 else None], *_shifts(exponents))
 
 
 def _shifts(exponents):
