@@ -108,7 +108,8 @@ def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading |
     if not math.isfinite(found.log_evidence):
         return None
     beside = weighed(state.shadow, sensor, stored_key(state.age, READING + 1))
-    shadow, told = beside.points, state.told
+    lineage = None if beside.points.lineage is None else beside.points.lineage[:1]  # it goes back no further
+    shadow, told = beside.points._replace(lineage=lineage), state.told
     if math.isfinite(beside.log_evidence):
         sums = found.moments, beside.moments
         off = squared_differences(found.points, shadow, sensor.domain, sums)

@@ -74,7 +74,7 @@ class ReadingAtPrior(NamedTuple):
         cell = density.form.cell
         states = None if cell is None and self.named is None else self.explained(density.x, cell)
         lines = not is_gaussian(self.measurement)
-        surveyed = density.form.states(1, smooth=False) if lines or states is not None else None
+        surveyed = density.form.bare.states(1, smooth=False) if lines or states is not None else None
         return Search(config.most_left_out, lines, states, surveyed, config.time_budget is None)
 
     @property

@@ -98,7 +98,7 @@ def resolved(
         found = [peak for peak in found if peak.log_mass + math.log(felt(*moments, peak.x[None])[0]) > least]
         parts.append(_part_of(laid))
         tried.append(Resolved(laid, misfit(laid, product)))
-        survey = _survey(*(search.surveyed or (x, mass)), log_weight)
+        survey = _survey(*(search.surveyed or (x, mass)), log_weight, search.walls)
         if _missing(laid, survey)[1] > _BESIDE * (tail + search.most_left_out):
             parts.append(survey)
     best = _best(tried, parts, tail)
@@ -124,9 +124,9 @@ def _part_of(laid: LatticeDensity) -> _Part:
     return _Part(laid.x, laid.mass, laid.log_mass, laid.log_mass + laid.field.log_p[: laid.field.kept])
 
 
-def _survey(x: Floats, mass: Floats, log_weight: OfStates) -> _Part:
+def _survey(x: Floats, mass: Floats, log_weight: OfStates, walls: Walls) -> _Part:
     """Knowledge that states of the prior have of the posterior, those of them that weigh anything."""
-    weight = np.log(np.maximum(mass, TINY)) + np.maximum(log_weight(x), -1e250)
+    weight = np.log(np.maximum(mass * inside(walls, x), TINY)) + np.maximum(log_weight(x), -1e250)
     w = np.exp(weight - weight.max())
     some = w > ROUNDING
     return _Part(x[some], w[some] / w.sum(), float(weight.max() + np.log(w.sum())), None)

@@ -162,6 +162,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         wanted = points_for(count, told, bounds.target, n)
         points, calm = next_points(count, wanted, s.calm)
         (a, b, c), (d, e, f) = one.found[:3], two.found[:3]
+        f = f[:1].copy()  # what the shadow tells goes back no further
         stiff = own.flow == stiff_flow
         paced = step, stiff, points, calm, s.age + 1
         before, standing = s, Standing(a, b, c, d, e, f, count, *squares, *paced)

@@ -87,8 +87,9 @@ def tried(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, m
         coarse, fine = moved_twice(steps, half, np.concatenate((x, ends)), own)
         alone = 0.0 if stiff else thrown(coarse, fine, w[far])
         coarse, fine = coarse[: len(x)], fine[: len(x)]
-        apart, chance = parted(coarse, fine, _GROUPS)
-        wide = wider(steps, half, fine, _GROUPS)
+        ends_of = eighths_of(fine, _GROUPS)
+        apart, chance = parted(coarse, fine, ends_of)
+        wide = wider(steps, half, fine, ends_of)
         bias = Bias(_BEYOND * apart, _BEYOND * math.hypot(math.sqrt(2.0) * apart, wide))
         too_much = over_allowed(bias, allowed, n)
         more = math.ceil(number * min(max(too_much ** (1.0 / STEPS_ORDER), 1.2), MORE))
@@ -170,18 +171,29 @@ def thrown(coarse, fine, w):
 
 
 @jit
-def parted(coarse, fine, groups):
+def eighths_of(x, groups):
+    """An eighth and seven of the values of points x (K, n) of each group, and how many: (groups, n, 3)."""
+    size, out = len(x) // groups, np.empty((groups, x.shape[1], 3))
+    for g in range(groups):
+        for a in range(x.shape[1]):
+            out[g, a, 0], out[g, a, 1], out[g, a, 2] = eighths(x[g * size : (g + 1) * size, a], 1)
+    return out
+
+
+@jit
+def parted(coarse, fine, ends):
     """How far apart means of coarse and fine ends (K, n) are, or infinite; and how far they are by chance.
 
     Both are standard deviations, the root of the mean square over groups of neighbours and states: what steps
     do to one branch of a density is judged by the width of that branch, which a few that steps threw out do
-    not make wider. Those that the model carries to infinity do not count, as long as they are few.
+    not make wider. Those that the model carries to infinity do not count, as long as they are few; `ends` are
+    `eighths_of` the fine ones.
     """
-    K, n = fine.shape
+    (K, n), groups = fine.shape, len(ends)
     size, total, chance = K // groups, 0.0, 0.0
     for g in range(groups):
         for a in range(n):
-            low, high, count = eighths(fine[g * size : (g + 1) * size, a], 1)
+            low, high, count = ends[g, a, 0], ends[g, a, 1], ends[g, a, 2]
             reach = AWAY * (high - low) + abs(low) + abs(high)
             if count < (1.0 - 2.0 * MOST_LOST) * size:
                 return np.inf, 0.0
@@ -210,18 +222,16 @@ def parted(coarse, fine, groups):
 
 
 @jit
-def wider(coarse, fine, x, groups):
+def wider(coarse, fine, x, ends):
     """How far apart variances are after legs that end at x (K, n): parts of them, in the root mean square.
 
     Noise that a stiff drift damps is wrong where no mean is. What each step adds to a covariance, and what it
     leaves of it, is that about one end of each group: no chance is in it, as there is in variances of points.
+    `ends` are `eighths_of` x.
     """
-    (K, n), end, total = x.shape, coarse.t + coarse.steps * coarse.h, 0.0
-    size, width, scratch = K // groups, np.empty((groups, n)), np.empty((n, n))
-    for g in range(groups):
-        for a in range(n):
-            low, high, _ = eighths(x[g * size : (g + 1) * size, a], 1)
-            width[g, a] = 0.5 * (high - low)  # of a Gaussian, 1.15 standard deviations
+    (K, n), groups, end, total = x.shape, len(ends), coarse.t + coarse.steps * coarse.h, 0.0
+    size, scratch = K // groups, np.empty((n, n))
+    width = 0.5 * (ends[:, :, 1] - ends[:, :, 0])  # of a Gaussian, 1.15 standard deviations
     about = x[size // 2 : groups * size : size].copy()
     (_, wrong), (M, P) = one_step(coarse, end, about, width), one_step(fine, end, about, width)
     for g in range(groups):
