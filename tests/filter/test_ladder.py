@@ -10,6 +10,7 @@ from sphfilter.campaign.campaign import draw_case
 from sphfilter.core.cloud.control import MOST_POINTS
 from sphfilter.density.memory import Memory, error_budget
 from sphfilter.density.storage import from_bytes, to_bytes
+from sphfilter.filter import update_again
 from sphfilter.prediction.predict import Prediction
 
 
@@ -387,6 +388,16 @@ def sines():
     bearing = sf.GaussianMeasurement.from_expressions(["x"], ["atan2(1, x - 1.7)"], [[0.02]], angles=[0])
     sine = sf.GaussianMeasurement.from_expressions(["x"], ["sin(1.56*x)"], [[0.00095]])
     return sf.SPHFilter(model, bearing, [-0.15], [[0.6]], config=sf.FilterConfig(target_error=0.01)), sine
+
+
+@pytest.mark.parametrize("most", [update_again._MOST_EVALUATIONS, 1])
+def test_a_reading_is_made_again_as_long_as_that_takes_no_more_than_a_try_may(monkeypatch, most):
+    monkeypatch.setattr(update_again, "_MOST_EVALUATIONS", most)
+    well = sf.SDE.from_expressions(["x", "v"], ["v", "-0.4*v + x - 0.1*x**3"], [["0"], ["1"]])
+    ring = sf.GaussianMeasurement.from_expressions(["x", "v"], ["x**2 + v**2"], [[1e-3]])
+    flt = sf.SPHFilter(well, ring, [1.0, 0.0], np.eye(2))
+    found = flt.run([1.0, 2.0], [4.0, 2.0])
+    assert found.flagged.tolist() == [False, most == 1]  # else it is told, and said
 
 
 def test_readings_of_one_time_are_made_again_together_where_the_last_finds_too_few_points():
