@@ -238,6 +238,12 @@ class Polynomials(Shape):
         p = self.pdf(X)
         return X, p / p.sum()
 
+    def survey(self) -> tuple[Floats, Floats]:
+        """States (M, n) in every cell, one at least, and their probabilities."""
+        X = self._cut(self.in_cells(_cell_points(len(self.field.mu), len(self.cells), False, 2**13, 0)))
+        p = self.pdf(X)
+        return X, p / p.sum()
+
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
         X = self._cut(self.in_cells(rng.random((32, len(self.field.mu)))))
         p = self.pdf(X)
@@ -390,11 +396,11 @@ class Folded(Shape):
         return *self.domain.within(low.min(), high.max(), 0.0), width
 
 
-def _cell_points(n: int, cells: int, smooth: bool) -> Floats:
+def _cell_points(n: int, cells: int, smooth: bool, most: int = _CELL_POINTS, least: int = 4) -> Floats:
     """Points (k, n) of a unit cell; or (cells, k, n), each cell's own, where sums in rows are no use."""
     from scipy.stats import qmc  # on use: import time
 
-    count = 2 ** int(np.clip(np.log2(_CELL_POINTS / cells), 4, 7))
+    count = 2 ** int(np.clip(np.log2(most / cells), least, 7))
     uniform = qmc.Sobol(n, scramble=False).random(count) + 0.5 / count
     return uniform if smooth else uniform + spread_evenly(cells, n)[:, None]
 

@@ -71,10 +71,12 @@ class ReadingAtPrior(NamedTuple):
 
     def search(self, density: ParticleDensity, config: FilterConfig) -> Search:
         """How far the posterior is searched for peaks between the prior's nodes."""
-        cell = density.form.cell
+        form: Any = density.form.bare
+        cell = form.cell
         states = None if cell is None and self.named is None else self.explained(density.x, cell)
         lines = not is_gaussian(self.measurement)
-        surveyed = density.form.bare.states(1, smooth=False) if lines or states is not None else None
+        sharp = states is not None and cell is not None  # else nodes and lines see all that there is
+        surveyed = form.survey() if sharp else None
         return Search(config.most_left_out, lines, states, surveyed, config.time_budget is None)
 
     @property

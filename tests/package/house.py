@@ -46,7 +46,7 @@ BOUNDS = {
     # interrupts and pages of campaigns 280, compiling ahead 60, time budgets of modes and clouds 110, what
     # clouds of modes tell and ask for 115, what lies far beyond a lattice 80, interrupts that Python
     # drops 25, variances that steps of clouds get wrong 95, less what they replaced
-    "lines of sphfilter": 40_648,
+    "lines of sphfilter": 40_656,
     "lines of reference_filters": 5_050,
     "lines of experiments": 12_290,
     "lines of tests": 29_468,  # and 1,545 that hold them to grids, closed forms, filterpy, and a wheel
