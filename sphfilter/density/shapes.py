@@ -234,20 +234,15 @@ class Polynomials(Shape):
         along the rows would be known to the distance between two of them only; so else each cell has its own.
         """
         n, found = len(self.field.mu), len(self.cells)
-        X = self._cut(self.in_cells(_cell_points(n, found, smooth)))
-        p = self.pdf(X)
-        return X, p / p.sum()
+        return self._weighed(_cell_points(n, found, smooth))
 
     def survey(self) -> tuple[Floats, Floats]:
         """States (M, n) in every cell, one at least, and their probabilities."""
-        X = self._cut(self.in_cells(_cell_points(len(self.field.mu), len(self.cells), False, 2**13, 0)))
-        p = self.pdf(X)
-        return X, p / p.sum()
+        return self._weighed(_cell_points(len(self.field.mu), len(self.cells), False, 2**13, 0))
 
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
-        X = self._cut(self.in_cells(rng.random((32, len(self.field.mu)))))
-        p = self.pdf(X)
-        return X[rng.choice(len(X), size=size, p=p / p.sum())]
+        X, w = self._weighed(rng.random((32, len(self.field.mu))))
+        return X[rng.choice(len(X), size=size, p=w)]
 
     def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
         """Points in the cells: of many states in each, as many as the density says; some of all modes alike.
@@ -298,9 +293,12 @@ class Polynomials(Shape):
             turns = [Y + k * shift for Y in turns for k in np.arange(first - 1, last + 2)]
         return turns
 
-    def _cut(self, X: Floats) -> Floats:
-        """The states of X (M, n) that lie between the walls."""
-        return X[inside(self.walls, X)] if self.walls[0].size else X
+    def _weighed(self, uniform: Floats) -> tuple[Floats, Floats]:
+        """States in all cells, as of `in_cells`, that lie between the walls; and their probabilities."""
+        X = self.in_cells(uniform)
+        X = X[inside(self.walls, X)] if self.walls[0].size else X
+        p = self.pdf(X)
+        return X, p / p.sum()
 
     def in_cells(self, uniform: Floats) -> Floats:
         """States (M k, n) in all cells, at `uniform` (k, n) or (M, k, n) parts of them."""

@@ -135,7 +135,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
     m, P, x, C = np.empty((K, n)), np.empty((K, n, n)), np.empty((K, n)), np.empty((K, n, n))
     evidence, unsure, error, wider = np.empty(K), np.empty(K), np.empty(K), np.empty(K)
     off, S, flagged = np.empty((K, k)), np.empty((K, k, k)), np.empty(K, np.bool_)
-    before, end, done = standing, ALL, 0
+    before, end, done, none = standing, ALL, 0, nothing_begun(n)
     while done < K and end == ALL:
         j, s, span = done, standing, (times[done], times[done + 1])
         own, step, bias = _paced(parts, leg, stiff_flow, span, s, least[j], bounds, curve)
@@ -173,7 +173,7 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
             if begun[0][0].size == 0:  # else it is the filter's
                 added = _added((parts, few, *about[2:]), before, one, nets[1], bounds.target, curve)
             end = end if added <= bounds.missed else MISSED if added > bounds.missed else JUDGE
-        begun = (nothing_begun(n), nothing_begun(n))
+        begun = (none, none)
     return (
         end,
         done,
