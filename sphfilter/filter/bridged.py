@@ -79,13 +79,13 @@ def _led(
     """
     N, n = x.shape
     way = x, y, u, np.full(N, 1.0 / N), block
-    rows, _, HL, r, R = seen(sensor, passages, *way, sensor.predict(y), WIDER, MISSED)
+    rows, _, r, ahead, L, HL, R = seen(sensor, passages, *way, sensor.predict(y), WIDER, MISSED)
     first = HL
     if rows is not None:  # what moves points later is noise of the reading
-        first = np.ascontiguousarray(HL @ rows[:, :, :n])
+        first, L = (np.ascontiguousarray(A @ rows[:, :, :n]) for A in (HL, L))
         R = R + HL @ HL.swapaxes(1, 2) - first @ first.swapaxes(1, 2)
-    about = block, first, np.ascontiguousarray(R), net(count, n, LED).T, np.uint64(key)
-    ancestor, new, log_ratio = look_ahead(columns(r), columns(u[0]), w, *about)
+    about = (r, ahead, L, first, np.ascontiguousarray(R)), columns(u[0])
+    ancestor, new, log_ratio = look_ahead(*about, w, block, net(count, n, LED).T, np.uint64(key))
     return ancestor, new.T, log_ratio
 
 

@@ -144,8 +144,8 @@ def _twice(points: Points, log_l: Floats, h: Floats, sensor: Stacked, key: int) 
     assert path is not None
     x, w, (x0, block, passages, U, _) = points.x, points.w, path
     (count, n), own = x.shape, sub_key(key, GUIDE)
-    rows, u, HL, r, R = seen(sensor, passages, x0, x, U, w, block, h, WIDER, WIDER * OWN)
-    ancestor, new, log_ratio = look_ahead(columns(r), columns(u), w, block, HL, R, net(count, n, LED).T, own)
+    rows, u, *about = seen(sensor, passages, x0, x, U, w, block, h, WIDER, WIDER * OWN)
+    ancestor, new, log_ratio = look_ahead(tuple(about), columns(u), w, block, net(count, n, LED).T, own)
     if not len(ancestor):
         return None
     y, block, u = x0[ancestor], block[ancestor], new.T

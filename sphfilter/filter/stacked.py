@@ -195,8 +195,10 @@ class Seen(NamedTuple):
 
     rows: Floats | None  # of what moves the end among what moves all passages; None of a single one
     u: Floats  # what moves each point's end, (N, n)
+    r: Floats  # what was read less what each point would read without its noise, (k, N)
+    ahead: Floats  # ends of points without their noise, (n, N)
+    L: Floats  # of that noise, (blocks, n, n)
     HL: Floats  # (blocks, k, n)
-    r: Floats  # what was read less what each point would read without its noise, (N, k)
     R: Floats  # noise that a guide takes, with what linearity misses, (blocks, k, k)
 
 
@@ -225,10 +227,11 @@ def seen(
         lower, rows = lower_and_rows(lower)
         whole = products(rows, np.concatenate([columns(v) for v in u]), block).T
     begun, moved = columns(x), columns(whole)
-    r = sensor.residual(sensor.predict(without_noise(columns(y), begun, moved, lower, flow, block).T))
+    ahead = without_noise(columns(y), begun, moved, lower, flow, block)
+    r = columns(sensor.residual(sensor.predict(ahead.T)))
     about = flow, lower, *map(as_compiled, (sensor.jacobian(end), sensor.covariance(end))), sensor.angle
     HL, R = linear_reading(columns(h), begun, moved, w, block, *about, wider, misses)
-    return Seen(rows, whole, HL, r, R)
+    return Seen(rows, whole, r, ahead, lower, HL, R)
 
 
 def _wrapped(r: Floats, angle: Bools) -> Floats:

@@ -165,16 +165,22 @@ def test_whatever_is_steered_the_law_of_the_noise_stays():
 
 
 def test_the_guide_is_exact_where_everything_is_linear():
-    """Every weight of the second pass is the evidence of a Gaussian."""
+    """Every weight of the second pass is the evidence of a Gaussian, over how much oftener it was drawn."""
     rng, N = np.random.default_rng(4), 256
     m, w, u = rng.standard_normal((1, N)), np.full(N, 1.0 / N), rng.standard_normal((1, N))
     HL, R, z = np.array([[[0.8]]]), np.array([[[0.3]]]), 1.4
     block = np.zeros(N, np.int64)
-    ancestor, new, log_ratio = look_ahead(z - m, u, w, block, HL, R, net(N, 1).T, 7)
+    seen = z - m, m, np.array([[[0.8]]]), HL, R
+    ancestor, new, log_ratio = look_ahead(seen, u, w, block, net(N, 1).T, 7)
     log_l = stats.norm.logpdf(z - m[:, ancestor] - 0.8 * new, scale=np.sqrt(0.3))[0]
     log_w = log_l - log_ratio[N:]
     exact = np.log(np.mean(stats.norm.pdf(z, m, np.sqrt(0.64 + 0.3))))
-    np.testing.assert_allclose(log_w, exact, atol=1e-9)
+    a = stats.norm.pdf(z, m[0], np.sqrt(0.64 + 0.3))
+    a, end = a / a.sum(), m[0] + 0.64 / (0.64 + 0.3) * (z - m[0])
+    far = a * np.abs(end - a @ end) / np.sqrt(a @ (end - a @ end) ** 2)
+    often = a + far / (1.0 + N * far)
+    np.testing.assert_allclose(log_w, exact + np.log(a * often.sum() / often)[ancestor], atol=1e-6)
+    np.testing.assert_allclose(np.bincount(ancestor, minlength=N), N * often / often.sum(), atol=1.0)
     assert np.all(np.diff(ancestor) >= 0)
 
 

@@ -132,12 +132,12 @@ def _led(reader, change, points, share, net, key):
     (flow, lower, end, rows), (x, y, u, whole, block) = change, points
     n, N = x.shape
     seen = x, y, read(reader, y), whole, np.full(N, 1.0 / N), block
-    r, HL, R = as_seen(reader, flow, lower, end, seen, MISSED)
+    r, ahead, lower, HL, R = as_seen(reader, flow, lower, end, seen, MISSED)
     first = HL
     if len(rows) > 0:  # what moves points later is noise of the reading
-        first = multiplied(HL, rows[:, :, :n].copy())
+        first, lower = multiplied(HL, rows[:, :, :n].copy()), multiplied(lower, rows[:, :, :n].copy())
         R = R + _squared(HL) - _squared(first)
-    return look_ahead(r, u, share, block, first, R, net, key)
+    return look_ahead((r, ahead, lower, first, R), u, share, block, net, key)
 
 
 @jit

@@ -15,7 +15,7 @@ from ..small_matrices import cholesky, invert_lower, whiten
 from ..sums import summed
 from .blocks import add_products, end_of_block, multiplied, products, squares
 from .noise import even_normals, uniform
-from .weights import prior_times, systematic, taken
+from .weights import distances, oftener, prior_times, systematic, taken, weighted_moments
 
 #: Neighbours to either side, that tell what the flow is without noise.
 NEAR = 2
@@ -178,13 +178,17 @@ def _log_peak(F):
 
 
 @jit
-def look_ahead(r, u, w, block, HL, R, net, key):
+def look_ahead(seen, u, w, block, net, key):
     """Choose ancestors of a reading, and what shall move their ends.
+
+    Those that will come d standard deviations from the mean are chosen up to 1 + d/√n times as often as the
+    reading says: a mode of little weight, on which half of a variance may hang, would else have no point.
 
     Parameters
     ----------
-    r, u, w, block : ndarray, shapes (k, N), (n, N), (N,), (N,)
-    HL, R : ndarray, shapes (blocks, k, n), (blocks, k, k)
+    seen : tuple of ndarray, shapes (k, N), (n, N), (blocks, n, n), (blocks, k, n), (blocks, k, k)
+        r; ends of points without their noise, and L of what leads them; HL and R.
+    u, w, block : ndarray, shapes (n, N), (N,), (N,)
     net : ndarray, shape (n, count)
         Standard normals that are even along the curve, and are turned and shifted by the key.
     key : int
@@ -197,14 +201,15 @@ def look_ahead(r, u, w, block, HL, R, net, key):
         Logarithm of the proposal's density of (point, u) over the prior's: of the N of the first pass, then
         of the new ones.
     """
+    r, ahead, L, HL, R = seen
     (k, N), (n, count), blocks = r.shape, net.shape, HL.shape[0]
     z, cut = even_normals(net, key), uniform(key, np.uint64(0))
-    K, T, S, L = np.zeros((blocks, n, k)), np.zeros((blocks, n, n)), np.empty((k, k)), np.empty((k, k))
+    K, T, S, F = np.zeros((blocks, n, k)), np.zeros((blocks, n, n)), np.empty((k, k)), np.empty((k, k))
     of_S, of_R = np.zeros((blocks, k, k)), np.zeros((blocks, k, k))
     peak_S, peak_R = np.full(blocks, -np.inf), np.full(blocks, -np.inf)
     for b in range(blocks):
-        if _gain(HL[b], R[b], S, K[b], T[b]) and cholesky(S, L) and cholesky(R[b], S):
-            peak_S[b], peak_R[b] = _inverse(L, of_S[b]), _inverse(S, of_R[b])
+        if _gain(HL[b], R[b], S, K[b], T[b]) and cholesky(S, F) and cholesky(R[b], S):
+            peak_S[b], peak_R[b] = _inverse(F, of_S[b]), _inverse(S, of_R[b])
     a = prior_times(w, _said(r, block, of_S, peak_S))
     top, log_ratio = a.max(), np.empty(N + count)
     if top == -np.inf:
@@ -212,16 +217,37 @@ def look_ahead(r, u, w, block, HL, R, net, key):
     for i in range(N):
         a[i] = FAST.exp(a[i] - top)
     total = summed(a)
-    ancestor, known = systematic(a, count, cut), top + math.log(total)
+    often, ratio = _how_often(a / total, (ahead, multiplied(L, K), r, block), count)
+    ancestor, known = systematic(often, count, cut), top + math.log(total * summed(often))
     rest = r.copy()
     add_products(rest, -1.0, HL, u, block)
-    log_ratio[:N] = _said(rest, block, of_R, peak_R) - known
+    log_ratio[:N] = _said(rest, block, of_R, peak_R) + ratio - known
     rest, block = taken(r, ancestor), block[ancestor]
     new = products(K, rest, block)
     add_products(new, 1.0, T, z, block)
     add_products(rest, -1.0, HL, new, block)
-    log_ratio[N:] = _said(rest, block, of_R, peak_R) - known
+    log_ratio[N:] = _said(rest, block, of_R, peak_R) + ratio[ancestor] - known
     return ancestor, new, log_ratio
+
+
+@jit
+def _how_often(a, led, count):
+    """How often (N,) ancestors of weights a (N,) are chosen, and logarithms of that over their weights.
+
+    They are led from ends without noise (n, N) by so much (blocks, n, k) of residuals (k, N) of blocks (N,).
+    """
+    (ahead, by, r, block), (n, N) = led, led[0].shape
+    end, ratio, mean, cov = ahead.copy(), np.zeros(N), np.empty(n), np.empty((n, n))
+    add_products(end, 1.0, by, r, block)
+    for i in range(N):
+        if a[i] == 0.0:
+            end[:, i] = 0.0  # it may be no number
+    weighted_moments(end, a, mean, cov)
+    often = oftener(a, np.sqrt(distances(end, mean, cov)), count)
+    for i in range(N):
+        if a[i] > 0.0:
+            ratio[i] = FAST.log(often[i] / a[i])
+    return often, ratio
 
 
 @jit

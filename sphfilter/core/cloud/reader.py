@@ -131,11 +131,12 @@ def as_seen(reader, flow, lower, end, points, misses):
     """A way of points as a sensor sees it, of Φ, L and ends of blocks.
 
     Of the points: x and y (n, N), where they begin and end, readings h (k, N) there, what moves them, u
-    (n, N), weights and blocks (N,). A guide takes `misses` times what linearity misses. Returns residuals
-    (k, N) of what each would read without its noise, HL (blocks, k, n) and R (blocks, k, k).
+    (n, N), weights and blocks (N,). A guide takes `misses` times what linearity misses. Returns what
+    `look_ahead` goes by.
     """
     (x, y, h, u, w, block), k = points, reader.z.size
-    r = residuals(reader.z, read(reader, without_noise(y, x, u, lower, flow, block)), reader.angle)
+    ahead = without_noise(y, x, u, lower, flow, block)
+    r = residuals(reader.z, read(reader, ahead), reader.angle)
     H, R = _slopes(reader, end), reader.R.copy().reshape((1, k, k))
     HL, R = linear_reading(h, x, u, w, block, flow, lower, H, R, reader.angle, WIDER, misses)
-    return r, HL, R
+    return r, ahead, lower, HL, R

@@ -70,8 +70,8 @@ def weigh(way, nets, key):
     if wrong or not abs(normalise(log_w, first)) < np.inf or effective(first) >= ALIKE * effective(w):
         return y, log_w, alone, wrong
     flow, lower, rows, whole = as_one(kernel, moved, u, v, block)
-    r, HL, R = as_seen(reader, flow, lower, moved.end, (x, y, h, whole, w, block), WIDER * OWN)
-    ancestor, new, log_ratio = look_ahead(r, whole, w, block, HL, R, nets[0], own)
+    seen = as_seen(reader, flow, lower, moved.end, (x, y, h, whole, w, block), WIDER * OWN)
+    ancestor, new, log_ratio = look_ahead(seen, whole, w, block, nets[0], own)
     if ancestor.size == 0:
         return y, log_w, alone, wrong
     end, block = taken(x, ancestor), block[ancestor]

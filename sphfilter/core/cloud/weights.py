@@ -259,22 +259,40 @@ def systematic(w, count, shift):
 
 
 @jit
+def distances(x, mean, cov):
+    """Squares (N,) of how far points x (n, N) are from a mean, in standard deviations, over n.
+
+    Zero where there is no root of the covariance.
+    """
+    (n, N), L, one = x.shape, np.empty(cov.shape), np.zeros(x.shape[1], np.int64)
+    if not cholesky(cov, L):
+        return np.zeros(N)
+    return squares(invert_lower(L).reshape(1, n, n) / math.sqrt(n), about(mean.reshape(1, n), x, one), one)
+
+
+@jit
+def oftener(w, more, count):
+    """How often (N,) points of weights w (N,) are drawn, each so many times `more` than it weighs at most.
+
+    That makes no more than one draw of `count` of any, as copies know no more than it does.
+    """
+    by = w.copy()
+    for i in range(w.size):
+        extra = w[i] * more[i]
+        by[i] += extra / (1.0 + count * extra) if extra < np.inf else 0.0  # of one carrier there is no d
+    return by
+
+
+@jit
 def for_moments(x, w, mean, cov, count, shift):
     """Numbers and weights (count,) of points drawn from weighted ones, x (n, N) and w (N,), all of sum one.
 
     Their mean is (n,), their covariance (n, n).
 
     A point d standard deviations from the mean is drawn up to 1 + d²/n times as often as its weight says, and
-    weighs as much less: mean and covariance hang on it so much more, and so may what is read next. That makes
-    no more than one draw of any, as copies know no more than it does.
+    weighs as much less: mean and covariance hang on it so much more, and so may what is read next.
     """
-    (n, N), by, L = x.shape, w.copy(), np.empty(cov.shape)
-    if cholesky(cov, L):
-        one = np.zeros(N, np.int64)
-        square = squares(invert_lower(L).reshape(1, n, n), about(mean.reshape(1, n), x, one), one)
-        for i in range(N):
-            more = w[i] * square[i] / n
-            by[i] += more / (1.0 + count * more) if more < np.inf else 0.0  # of one carrier there is no d
+    by = oftener(w, distances(x, mean, cov), count)
     chosen = systematic(by, count, shift)
     own = w[chosen] / by[chosen]
     return chosen, own / own.sum()
