@@ -28,9 +28,12 @@ def seconds_for(lines, error):
 
 
 def markdown(outcomes):
-    """The table as markdown: milliseconds of each family at every error, the fastest scheme's in bold."""
+    """The table as markdown: milliseconds of each family at every error, the fastest scheme's in bold.
+
+    What the default takes over that is its regret.
+    """
     families = list(dict.fromkeys(i.family for o in outcomes for i in o.lines if i.family.startswith(_OURS)))
-    lines = []
+    lines, regrets = [], []
     for outcome in outcomes:
         for error in _ERRORS:
             took = [seconds_for([i for i in outcome.lines if i.family == f], error) for f in families]
@@ -38,11 +41,26 @@ def markdown(outcomes):
             if np.isfinite(forced).any():
                 best = np.nanmin(forced)
                 cells = [_cell(s, f != "auto" and s == best) for f, s in zip(families, took, strict=True)]
-                lines.append([outcome.scenario, f"{error:g}", *cells])
+                regrets += [s / best for f, s in zip(families, took, strict=True) if f == "auto"]
+                own = [tables.number(r, ".2g") if np.isfinite(r) else "" for r in regrets[-1:]]
+                lines.append([outcome.scenario, f"{error:g}", *cells, *own])
     if not lines:
         return ""
     heading = ["scene", "error", *(f"{short(f)}, ms" for f in families)]
-    return "\n".join(["## Frontier of the schemes", "", *tables.markdown(heading, lines), ""])
+    known = np.array(regrets)[np.isfinite(regrets)]
+    said = [_said(known), ""] if known.size else []
+    heading += ["regret"] if regrets else []
+    return "\n".join(["## Frontier of the schemes", "", *tables.markdown(heading, lines), "", *said])
+
+
+def _said(regrets):
+    """A sentence on the default's time over that of the fastest scheme."""
+    mean, most = np.exp(np.mean(np.log(regrets))), regrets.max()
+    above = f"{np.sum(regrets > 2.0)} of {regrets.size} above 2"
+    return (
+        f"Regret, the default's time over that of the fastest scheme: {mean:.2g} in the geometric mean, "
+        f"{most:.2g} at most, {above}."
+    )
 
 
 def _cell(seconds, best):

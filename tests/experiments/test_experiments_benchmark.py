@@ -246,7 +246,8 @@ def test_the_frontier_lies_between_sizes():
     assert seconds_for(lines, 0.2) == 0.01 and np.isnan(seconds_for(lines, 0.01))
     other = [_line("sph:family", 3, 0.001, 0.06), _line("auto", 33, 0.005, 0.02)]
     told = markdown([SimpleNamespace(scenario="one", lines=lines + other)])
-    assert "| one | 0.1 | 10 | **1** | 5 |" in told and "| one | 0.03 | **33" in told
+    assert "| one | 0.1 | 10 | **1** | 5 | 5 |" in told and "| one | 0.03 | **33" in told
+    assert "0.87 in the geometric mean, 5 at most, 1 of 2 above 2." in told  # and .15
     assert "0.01" not in told and markdown([SimpleNamespace(scenario="one", lines=other[1:])]) == ""
 
 
