@@ -320,7 +320,7 @@ def test_a_cloud_is_drawn_again_where_a_reading_leaves_too_few_points(tmp_path, 
 def test_a_cloud_that_misses_the_target_has_no_fewer_points_next():
     hasty = sf.FilterConfig(target_error=0.05, time_budget=60.0)  # else it would be predicted again
     case, flt = made("lorenz", 0.05, config=hasty)
-    sharp = flt.measurement.changed(noise_cov=1e-4 * flt.measurement.noise_cov)
+    sharp = flt.measurement.changed(noise_cov=1e-6 * flt.measurement.noise_cov)
     followed(flt, case, 7)
     missed = 0
     for t, z in zip(case.times[7:11], case.z[7:11], strict=True):
