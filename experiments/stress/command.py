@@ -26,8 +26,9 @@ def main(args):
     console.print(f"{counts}, at most {args.limit:g} s a run", style="dim")
     walk(console, cases, args.filters, args)
     path = args.out / ("random.csv" if is_random else "stress.csv")
-    rows, found = _judged(console, cases, args)
+    rows, found, flags = _judged(console, cases, args)
     telling = [("errors told over errors made", told.HEADINGS, told.lines(found))] if found else []
+    telling += [("flags", told.FLAGS, told.flag_lines(flags))] if flags else []
     write(path, rows, telling, args)
     for title, headings, lines in [*sections(rows), *telling]:
         shown.print_table(console, shown.table(title, headings, lines))
@@ -44,8 +45,8 @@ def main(args):
 
 
 def _judged(console, cases, args):
-    """Judge what is on disk: a row a case and filter, and errors told and made of those that choose."""
-    rows, found = [], []
+    """Judge what is on disk: a row a case and filter, and what those that choose told, made and flagged."""
+    rows, found, flags = [], [], []
     with status(console) as say:
         say("judging")
         for case in cases:
@@ -53,7 +54,8 @@ def _judged(console, cases, args):
                 of_case = judged(case, name, args.out)
                 rows.append(row_of(case, name, *of_case))
                 found += told.told_of(*of_case) if name.startswith(AUTO) else []
-    return rows, found
+                flags += [told.flags_of(*of_case[1:])] if name.startswith(AUTO) else []
+    return rows, found, flags
 
 
 def _tell(console, case, name, out):

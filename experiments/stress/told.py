@@ -7,9 +7,13 @@ import numpy as np
 
 from experiments.show.style import COLOURS, INK, grid, legend_below, panels, save
 from experiments.show.tables import number
+from sphfilter import FilterConfig
 
 from .referees import LIMITS
 
+#: What filters are asked for here: an error of the mean, in deviations of each state.
+ASKED = FilterConfig().target_error
+FLAGS = "readings that are", "number", "flagged"
 HEADINGS = "error of", "held by", "states", "errors", "median", "10 %", "90 %", "below a third", "above three"
 #: Of what errors are: of the mean, the variance and the evidence of every reading, and that of the record.
 KINDS = (*LIMITS, "record's evidence")
@@ -37,11 +41,8 @@ class Told(NamedTuple):
 def told_of(problem, record, referee, verdict):
     """All errors of a record that its reference can tell and its filter told, as a list of `Told`."""
     k, n = verdict.errors.shape[1], len(problem.x0)
-    off = record.x[:k] - referee.x[:k]
     made, told, own = verdict.errors.copy(), record.told[:, :k], referee.own[:, :k].copy()
-    # as `target_error` counts, in deviations of each state; one at random has so much of |L⁻¹ off|
-    made[0] = np.sqrt(np.mean(off**2 / np.diagonal(referee.P[:k], axis1=1, axis2=2), axis=1))
-    own[0] /= math.sqrt(n)
+    made[0], own[0] = _of_means(record, referee, k)
     made[2] = np.abs(
         record.log_evidence[:k] - referee.log_evidence[:k]
     )  # the verdict's: of the record so far
@@ -51,6 +52,31 @@ def told_of(problem, record, referee, verdict):
     if np.isfinite(total) and verdict.errors[2, -1] > max(_STANDS_OUT * own[2, -1], _NOTHING):
         found.append(Told(KINDS[-1], str(record.held[k - 1]), n, total, verdict.errors[2, -1]))
     return found
+
+
+def _of_means(record, referee, k):
+    """Errors (k,) of means as `target_error` counts, in deviations of each state; and the reference's own."""
+    off = record.x[:k] - referee.x[:k]
+    made = np.sqrt(np.mean(off**2 / np.diagonal(referee.P[:k], axis1=1, axis2=2), axis=1))
+    return made, referee.own[0, :k] / math.sqrt(off.shape[1])  # one at random has so much of |L⁻¹ off|
+
+
+def flags_of(record, referee, verdict):
+    """Whether the epochs of a record are right, and whether flagged, (k, 2): those whose reference is good.
+
+    Right is a mean within three times what filters are asked for and nothing beyond `LIMITS`.
+    """
+    made, own = _of_means(record, referee, verdict.errors.shape[1])
+    right = (made <= _FAR * ASKED) & (verdict.errors <= np.array(list(LIMITS.values()))[:, None]).all(axis=0)
+    return np.column_stack((right, record.flagged[: len(made)]))[own <= ASKED]
+
+
+def flag_lines(flags):
+    """Lines of a table: right and wrong epochs of arrays of `flags_of`, and the share of flags."""
+    flags = np.concatenate(flags)
+    names = (f"right: mean within {_FAR:g} times {ASKED:g}, and the limits", True), ("wrong", False)
+    groups = [(name, flags[flags[:, 0] == right, 1]) for name, right in names]
+    return [(name, str(len(own)), number(own.mean(), ".2g")) for name, own in groups if len(own)]
 
 
 def lines(found):

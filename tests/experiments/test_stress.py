@@ -293,6 +293,17 @@ def test_errors_told_are_counted_beside_those_made_that_stand_out_of_the_referen
     assert told.draw(tmp_path / "told.png", found).stat().st_size > 10_000
 
 
+def test_flags_are_counted_of_right_and_of_wrong_readings():
+    """Means off by .02, .25 and .02, the last by no good reference: one right, one wrong, neither so said."""
+    off, own = np.array([0.02, 0.25, 0.02]), np.full((3, 3), 0.001)
+    own[0, 2] = 0.1
+    record = _record(x=off[:, None], flagged=np.array([True, False, False]))
+    reference = replace(_EXACT, own=own)
+    flags = told.flags_of(record, reference, judge(record, reference))
+    np.testing.assert_array_equal(flags, [[True, True], [False, False]])
+    assert [line[1:] for line in told.flag_lines([flags, flags])] == [("2", "1"), ("2", "0")]
+
+
 @pytest.mark.parametrize(
     "options, name, reference, n_parts",
     [
