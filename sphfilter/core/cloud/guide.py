@@ -5,6 +5,7 @@ points without their noise, HL (blocks, k, n), R the covariance of the reading, 
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,18 +20,33 @@ from .weights import prior_times, systematic, taken
 
 #: Neighbours to either side, that tell what the flow is without noise.
 NEAR = 2
+#: Times the reading's own noise that the guide sees: 1.2 has heavy weights on two wells, 2 is as good.
+WIDER = 1.5
+
+
+class Moved(NamedTuple):
+    """Points that have gone a way, linearised in blocks: y ≈ Φ x + L u and what is the same for a block."""
+
+    x: np.ndarray  # (n, N), where they began
+    y: np.ndarray  # (n, N), where they came
+    u: np.ndarray  # (n, N), normals that moved their ends
+    w: np.ndarray  # (N,) weights
+    block: np.ndarray  # (N,)
+    flow: np.ndarray  # Φ, (blocks, n, n)
+    lower: np.ndarray  # L, (blocks, n, n)
 
 
 @jit
-def without_noise(y, x, u, L, Phi, block):
+def without_noise(moved):
     """Where each point (n, N) would go without the noise that moves the end, as its neighbours tell.
 
     What its own noise did must not tell it: the proposal's density at a point would depend on the draw that
     it is to weigh, and the evidence would be wrong however many points there are.
     """
-    (n, N), first, out = y.shape, 0, products(Phi, x, block)
-    rest = y - out
-    add_products(rest, -1.0, L, u, block)
+    (n, N), first, block = moved.y.shape, 0, moved.block
+    out = products(moved.flow, moved.x, block)
+    rest = moved.y - out
+    add_products(rest, -1.0, moved.lower, moved.u, block)
     while first < N:
         last = end_of_block(block, first)
         for a in range(n):
@@ -89,19 +105,39 @@ def joined(Phi, G, flow, lower):
 
 
 @jit
-def linear_reading(hy, x, u, w, block, Phi, L, H, R, angle, wider, misses):
-    """What a reading sees of a way of points, linearised in blocks: HL (blocks, k, n), and the noise
-    (blocks, k, k) that a guide takes.
+def of_first(HL, R, rows):
+    """What a reading sees of noise that moves points in the first part of a way, and the noise of a guide.
+
+    What moves them later is noise of the reading. HL (blocks, k, n) and R (blocks, k, k) are of the whole
+    way, to whose end `rows` (blocks, n, d) bring the noise of all parts; without any there is but one.
+    """
+    if len(rows) == 0:
+        return HL, R
+    first = multiplied(HL, rows[:, :, : HL.shape[2]].copy())
+    return first, R + _squared(HL) - _squared(first)
+
+
+@jit
+def _squared(A):
+    """A Aᵀ of matrices (blocks, k, n)."""
+    return multiplied(A, np.ascontiguousarray(A.transpose(0, 2, 1)))
+
+
+@jit
+def linear_reading(moved, h, H, R, angle, misses):
+    """What a reading sees of points that have `Moved`: HL (blocks, k, n), and the noise (blocks, k, k) that a
+    guide takes.
 
     What linearity misses is half the mean square difference of neighbours' readings less their linear parts.
     Neighbours on the curve stand for the second derivatives of a block: what is the same for both cancels.
-    The noise is `wider` times R and `misses` times what linearity misses; H and R are of one or all blocks,
-    hy (k, N) are readings of the ends, and x, u, w, block of N points, Phi, L of blocks are a way's.
+    The noise is `WIDER` times R and `misses` times what linearity misses; H and R are of one or all blocks,
+    h (k, N) are readings of the ends.
     """
-    (k, N), nb, HL = hy.shape, len(L), multiplied(H, L)
-    C, off, rest, total = np.zeros((k, k)), np.empty(k), hy.copy(), 0.0
-    add_products(rest, -1.0, HL, u, block)
-    add_products(rest, -1.0, multiplied(H, Phi), x, block)
+    (k, N), nb, HL = h.shape, len(moved.lower), multiplied(H, moved.lower)
+    w, block = moved.w, moved.block
+    C, off, rest, total = np.zeros((k, k)), np.empty(k), h.copy(), 0.0
+    add_products(rest, -1.0, HL, moved.u, block)
+    add_products(rest, -1.0, multiplied(H, moved.flow), moved.x, block)
     for i in range(1, N):
         finite, v = block[i] == block[i - 1], 0.5 * (w[i] + w[i - 1])
         for a in range(k):
@@ -112,7 +148,7 @@ def linear_reading(hy, x, u, w, block, Phi, L, H, R, angle, wider, misses):
             for e in range(k):
                 C[a, e] += 0.5 * v * off[a] * off[e]
     noise = np.empty((nb, k, k))
-    noise[:] = wider * R + C * (misses / total if total > 0.0 else 0.0)
+    noise[:] = WIDER * R + C * (misses / total if total > 0.0 else 0.0)
     return HL, noise
 
 
