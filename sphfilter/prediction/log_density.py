@@ -28,6 +28,7 @@ from ..core.characteristics.control import (
     STEPS,
     VOLUME,
     Control,
+    Run,
 )
 from ..core.characteristics.expectation import BACK, BACK_IN_BLOCKS, EXPECTED, REFLECTED
 from ..core.characteristics.flood import LAY
@@ -165,7 +166,7 @@ def propagate(
             break
         with surfacing():
             field, x, mass, mean, cov, code = march(
-                entries, noise, field, stencils(n), rule, control, times, state, counters
+                entries, noise, field, stencils(n), rule, times, Run(control, state, counters)
             )
         status = STATUS[code]
     if status == "not finite":
