@@ -150,8 +150,6 @@ class Carried(lineages.Carried):
     deviations, and that of the log-evidence 1/√lineages, whatever clouds agree on.
     """
 
-    __slots__ = ()
-
     @classmethod
     def of(cls, x: Floats, log_w: Floats, ancestor: Ints, older: Ints = NO_LINES) -> "Carried":
         """States with log-weights (N,) whose sum is the evidence, and each one's ancestor (N,) in the prior.
