@@ -18,7 +18,7 @@ from ..model.domain import Domain
 from .quasi_random import STATES, weighted_points
 from .shapes import Moments, Polynomials, Shape
 
-ASTRAY = 0.3  # of the moments in a frame, from which a family does not hold a density
+ASTRAY = 0.3  # of a frame's moments: no family holds the density then; measured: half, twice change no run
 #: Part of a polynomial's misfit that errors are estimated by. Measured: with half and twice, a model that
 #: switches takes .8 and 1.2 times the evaluations for 2.4 and .5 times the error, others 1.02 at most.
 OF_MISFIT = 0.5

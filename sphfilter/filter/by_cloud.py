@@ -157,8 +157,7 @@ def error_added(
     beside, few = weighed(moved, sensor, stored_key(age, Use.READING + 1))
     if not math.isfinite(beside.log_evidence):
         return math.nan
-    sums = moments, (beside.mean, beside.cov)
-    off = squared_differences(after.points, few, sensor.domain, sums)
+    off = squared_differences(after.points, few, sensor.domain, (moments, (beside.mean, beside.cov)))
     return Told(*off).decisive(target, len(moments[0]))
 
 

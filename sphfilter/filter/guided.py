@@ -30,8 +30,7 @@ from .tempered import tempered
 
 
 def weighed(points: Points, sensor: Stacked, key: int) -> tuple[Carried, Points]:
-    """Prior times the likelihood of all readings of one time, and the points that go on: the prior's, if none
-    of them can have been read.
+    """Prior times the likelihood of all readings of one time, and points that go on: the prior's if it is 0.
 
     The prior may be the posterior of readings of the same time before, whose prior is taken then. The
     evidence is that of the readings of `sensor`, given those before.
