@@ -12,12 +12,11 @@ from typing import TypeAlias
 import numpy as np
 
 from .._types import Floats
+from ..core._compiling import PATIENCE
 from ..filter.results import FilterResult
 from ..filter.sph_filter import SPHFilter
 
 Say: TypeAlias = Callable[[str], None]
-#: Seconds between two words: half of the two after which a terminal must have said something, 2 / 2 = 1.
-_PATIENCE = 1.0
 _CLEAR = "\r\033[K"  # to the beginning of the line, which is wiped
 
 
@@ -32,7 +31,7 @@ class _Line(logging.Handler):
         """Show a text, unless the last one came just now; an empty one takes the line away."""
         if not text:
             self.clear()
-        elif self._changes and perf_counter() - self._at > _PATIENCE / 5:
+        elif self._changes and perf_counter() - self._at > PATIENCE / 5:
             wide = shutil.get_terminal_size().columns - 1
             print(_CLEAR + text[:wide], end="", file=sys.stderr, flush=True)
             self._at = perf_counter()
@@ -74,7 +73,7 @@ def through(
         yield flt.run(times[part], z[part], inputs=given or None)
         done += size
         rate = size / max(perf_counter() - begin, 1e-9)
-        size = max(1, min(2 * size, int(rate * _PATIENCE)))
+        size = max(1, min(2 * size, int(rate * PATIENCE)))
 
 
 def joined(parts: Sequence[FilterResult]) -> FilterResult:

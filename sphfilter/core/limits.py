@@ -7,6 +7,7 @@ import numpy as np
 _EPS = float(np.finfo(float).eps)
 TINY = 1e-300  # keeps what divides off zero: 1e-300 > 2^-1022, the least number of full precision
 ROUNDING = math.sqrt(_EPS)  # part of a number, below which a difference like it is rounding: half its digits
+STEP = 1e-4  # of differences, in widths of what is smooth: h² / 6 = 2e-9 of a third derivative is missed
 DIFFERENCE = _EPS ** (1.0 / 3.0)  # step of differences: eps / h, rounding, is as much as h²
 NOTHING = -math.log(_EPS)  # nats below the largest, where a term adds nothing to a sum: exp(-NOTHING) = eps
 LARGEST_EXPONENT = 700.0  # nats: a thousand exponentials have a sum still, exp(700) = 1e304 < 2^1024 / 1000

@@ -11,21 +11,19 @@ import numpy as np
 from .._types import Floats, OfStates
 from ..core.family.basis import Basis, basis, bound, polynomials, size, values_at
 from ..core.family.frame import inverse, moved, weigh
-from ..core.limits import LOG_2_PI
+from ..core.limits import LOG_2_PI, STEP
 from ..core.small_matrices import moments
 from ..lattice.level_set import LatticeDensity, fewest_particles, lattice_reach, lay
 from ..model.domain import Domain
-from .quasi_random import weighted_points
+from .quasi_random import STATES, weighted_points
 from .shapes import Moments, Polynomials, Shape
 
-ASTRAY = 0.3  # of the moments in a frame, from which a family does not hold a density
+ASTRAY = 0.3  # of a frame's moments: no family holds the density then; measured: half, twice change no run
 #: Part of a polynomial's misfit that errors are estimated by. Measured: with half and twice, a model that
 #: switches takes .8 and 1.2 times the evaluations for 2.4 and .5 times the error, others 1.02 at most.
 OF_MISFIT = 0.5
 _NODES = {1: 200, 2: 1000, 3: 4000, 4: 12_000}  # of a lattice for questions, of four states and more the last
-_ON_LATTICE = 2  # states up to which a lattice answers
-_POINTS = 2**15  # that do for more: random ones would have a mean within 1 / √_POINTS = .006
-_STEP = 1e-4  # of a difference, in standard deviations: it misses h² / 6 = 2e-9 of a third derivative
+ON_LATTICE = 2  # states up to which a lattice answers, and may come after one family
 _TURN = 0.6  # radians
 
 
@@ -212,7 +210,7 @@ class Exponential(Shape):
 
     def gradient(self, X: Floats) -> Floats:
         frame = np.linalg.cholesky(self.moments[1]).T
-        slopes = [(self.logpdf(X + step) - self.logpdf(X - step)) / (2.0 * _STEP) for step in _STEP * frame]
+        slopes = [(self.logpdf(X + step) - self.logpdf(X - step)) / (2.0 * STEP) for step in STEP * frame]
         return np.linalg.solve(frame, slopes).T * self.pdf(X)[:, None]
 
     def mean(self) -> Floats:
@@ -223,9 +221,9 @@ class Exponential(Shape):
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
         """States in every cell of the lattice; of many states points spread evenly, with weights."""
-        if len(self.moments[0]) <= _ON_LATTICE:
+        if len(self.moments[0]) <= ON_LATTICE:
             return self.laid.states(count, smooth)
-        return weighted_points(self.logpdf, self.moments, _POINTS, 0)
+        return weighted_points(self.logpdf, self.moments, STATES, 0)
 
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
         return self.laid.sample(size, rng)

@@ -37,7 +37,9 @@ _LOGGER = logging.getLogger("sphfilter")
 _MISSING = 0.05  # of the variance of a Gaussian, from which it is said
 _TRIES = 5  # numbers of nodes, each twice the one before, for a target error
 _MOST_TRIED = 300  # nodes of a box, over the number of particles wanted
-_COARSE, _SEEN = 5000, 1.0 - 1e-6  # particles a callable pdf is first looked at with, and their probability
+_COARSE = 5000  # particles that a callable pdf is first looked at with
+#: Probability that is left out: 10,000 standard deviations off it moves a mean by 1e4 · 1e-6 = .01 of one.
+NEGLIGIBLE = 1e-6
 #: Kernels of a density that no scheme asks kernels of: smooth, and not fitted.
 _PLAIN = PaperScheme(kernel="wendland_c2", support_steps=1)
 
@@ -286,7 +288,7 @@ def _on_level_set(
             _say_what_is_missing(len(mean), n_particles, round(kept, 2))  # no difference by rounding
         residual = 0.0 if whole else misfit(laid, log_pdf).residual
         return ParticleDensity.on_lattice(laid, t, n_particles, whole, domain, residual=residual)
-    seen = PaperScheme(represented_mass=_SEEN)
+    seen = PaperScheme(represented_mass=1.0 - NEGLIGIBLE)
     coarse = _from_pdf(distribution, box, max(n_particles, _COARSE), seen, t)
 
     def log_p(X: Floats) -> Floats:

@@ -36,7 +36,7 @@ def around(field: Field, walls: Walls = NO_WALLS) -> Floats:
     cells.box_of(field.node, cells.MARGIN, low, dims)
     ask = near_walls(partial(lattice_field.log_p_at, field), walls, field.A, 1)
     ball = stencils(n).offsets[: stencils(n).size[0]]
-    found = flood(ask, field.mu, field.A, (field.node, low, dims), ball, depth, highest=highest)
+    found = flood(ask, (field.mu, field.A), (field.node, low, dims), ball, depth, highest=highest)
     kept = np.sort(found.asked[found.value[found.asked] > found.highest - depth])
     return cells.states_of(kept, field.mu, field.A, found.low, found.dims)[1]
 

@@ -1,5 +1,6 @@
 """A cloud of points over an interval: order, noise that is even along it, motion; and once more, guided."""
 
+from enum import IntEnum
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ from ..core._views import as_compiled
 from ..core.cloud import bridge
 from ..core.cloud.blocks import blocks_of, centres
 from ..core.cloud.curve import along_curve, places
-from ..core.cloud.cycle import PARTS, Bounds, Standing, nothing_begun
+from ..core.cloud.cycle import PARTS, Bounds, Cloud, Standing, nothing_begun
 from ..core.cloud.cycle import put_through as through
 from ..core.cloud.linearise import LINEARISE, linearised
 from ..core.cloud.maps import LINEARISE_MAP, MAPPED
@@ -28,14 +29,11 @@ from ..model.dynamics import Dynamics
 from ..model.paths import noise_root
 from ..model.sde import SDE
 from .points import NO_LINES, CloudState, Pace, Passage, Path, Points, Told, columns
-from .quasi_random import even, net
+from .quasi_random import NetPart, even, net
 
 #: Passages after which a path is forgotten, and numbers of all points that they may hold: a reading leads
 #: points through all of them once more. Measured: half and twice of both change no run.
 MOST, _NUMBERS = 24, 2**22
-#: Parts of nets that are of none of these: what leads points to a reading; and the first of starts' own.
-LED, _START = 30, 31
-READING = 2  # of the key of an age: a reading of a cloud; and of its shadow the next
 #: Least part of a start's spread that is noise. Measured: with a quarter and a half, evaluations of two
 #: scenes are 1 to 1.15 times as many, errors .9 to 1.15 times as large.
 _SPREAD = 1.0 / 3.0
@@ -54,7 +52,7 @@ def points_of_gaussian(mean: Floats, cov: Floats, count: int, key: int, number: 
     n = len(mean)
     spread = max(count ** (-1.0 / n), _SPREAD)
     root = noise_root(cov) if np.linalg.det(cov) <= 0.0 else np.linalg.cholesky(cov)
-    x = mean + np.sqrt(1.0 - spread**2) * np.einsum("ij,kj->ik", net(count, n, _START + number), root)
+    x = mean + np.sqrt(1.0 - spread**2) * np.einsum("ij,kj->ik", net(count, n, NetPart.START + number), root)
     w = np.full(count, 1.0 / count)
     x = x[along(x, w)]
     key = stored_key(key, KERNEL)
@@ -96,6 +94,16 @@ def moved_points(
     return Points(x.T, points.w, Path(start, block, (*passages, passage), (*U, u.T), path.older))
 
 
+class Use(IntEnum):
+    """What numbers of the key of an age are for, beside predictions: 0 of a cloud, and 1 of its shadow."""
+
+    READING = 2  # of a cloud; and of its shadow the next
+    LEFT_OUT = 4  # noise of what a lattice has left out, in a prediction
+    ELSEWHERE = 4  # points of a family, at a reading
+    PARTS = 5  # points of a part of a sum, and of the next
+    JUMPS = 40  # of a cloud, and of its shadow the next
+
+
 def age_of(density: Any) -> int:
     """Predictions since the start, where a density remembers them; else a number of its time, 0 at 0.
 
@@ -113,7 +121,7 @@ def sub_key(key: Any, number: int) -> Any:
 
 def stored_key(key: Any, number: int) -> int:
     """A sub-key as a number that signed integers hold."""
-    return int(stored(key, number))
+    return int(stored(key, int(number)))
 
 
 class Through(NamedTuple):
@@ -156,19 +164,20 @@ def put_through(
         changes = np.array(flows), np.array(offsets), np.array(lowers)
     else:
         leg = _leg(model, False)
-    standing: list[Any] = []
-    for points in (state.points, state.shadow):
-        standing += [columns(points.x), points.w, _lineage_of(points)]
-    standing += [state.size, *state.told, state.pace.step, state.pace.stiff, counts[0], calm, state.age]
-    motion, begun = (leg, address_of(STIFF_FLOW), changes), (_begun(state.points), _begun(state.shadow))
-    given = motion, readings, (times, least), (Standing(*standing), begun)
-    about = *given, tuple(nets), bounds, places(model.dim)
+    clouds = _cloud(state.points, nets[0]), _cloud(state.shadow, nets[1])
+    pace, told = (state.pace.step, state.pace.stiff), (counts[0], calm, state.age)
+    standing = Standing(*clouds, state.size, *state.told, *pace, *told)
+    about = (leg, address_of(STIFF_FLOW), changes), readings, (times, least), standing
     lead = address_of(bridge.BRIDGE) if any(led) else NOWHERE_AT
     with surfacing():
-        end, done, *sides, rows = through((*map(address_of, PARTS), lead), *about)
-    after, before = (Standing(*side) for side in sides)
-    rest = Through(end, done - 1, _state_of(before), before.points, before.calm, None, rows)
-    return Through(end, done, _state_of(after), after.points, after.calm, rest, rows)
+        end, done, *sides, rows = through((*map(address_of, PARTS), lead), *about, bounds, places(model.dim))
+    after, before = map(_left, sides)
+    return Through(end, done, *after, Through(end, done - 1, *before, None, rows), rows)
+
+
+def _cloud(points: Points, nets: tuple[Floats, ...]) -> Cloud:
+    """A cloud or its shadow as compiled code takes it, which these nets move on."""
+    return Cloud(columns(points.x), points.w, _lineage_of(points), _begun(points), nets)
 
 
 def _begun(points: Points) -> tuple[Any, ...]:
@@ -183,7 +192,7 @@ def _begun(points: Points) -> tuple[Any, ...]:
 
 def nets_of(count: int, dim: int) -> tuple[Floats, ...]:
     """Standard normals (dim, count), read-only, of a guide and of both passages of a way."""
-    return tuple(net(count, dim, part).T for part in (LED, 0, 1))
+    return tuple(net(count, dim, part).T for part in (NetPart.LED, 0, 1))
 
 
 def leading_nets(count: int, dim: int) -> tuple[Floats, ...]:
@@ -192,10 +201,11 @@ def leading_nets(count: int, dim: int) -> tuple[Floats, ...]:
     return nets_of(bridge.MORE * count, dim)
 
 
-def _state_of(standing: Standing) -> CloudState:
-    x, w, lineage, few_x, few_w, few_lineage, size, *told, step, stiff, _, _, age = standing
+def _left(standing: tuple[Any, ...]) -> tuple[CloudState, int, int]:
+    """A cloud as compiled code left it, how many points the next one has, and how calm it was."""
+    x, w, lineage, few_x, few_w, few_lineage, size, *told, step, stiff, count, calm, age = standing
     points, shadow = Points(x.T, w, lineage=lineage), Points(few_x.T, few_w, lineage=few_lineage)
-    return CloudState(points, shadow, size, Told(*told), Pace(step, stiff), age=age)
+    return CloudState(points, shadow, size, Told(*told), Pace(step, stiff), age=age), count, calm
 
 
 def _lineage_of(points: Points) -> Ints:
@@ -277,9 +287,10 @@ def chosen_steps(
 
     The last number is the part of a few points that the model carries to infinity.
     """
-    about = columns(points.x), points.w, key, *places(model.dim), begin.number, begin.stiff, *bounds
+    motion, cloud = (_leg(model, False), address_of(STIFF_FLOW)), (columns(points.x), points.w)
+    about = span, cloud, key, places(model.dim), begin, bounds
     with surfacing():
-        number, stiff, bias, lost = chosen(_leg(model, False), address_of(STIFF_FLOW), span, *about, allowed)
+        number, stiff, bias, lost = chosen(motion, *about, allowed)
     return Steps(number, stiff), bias, lost
 
 

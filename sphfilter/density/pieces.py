@@ -16,11 +16,10 @@ from ..errors import PropagationError
 from ..lattice.level_set import LatticeDensity
 from .family import laid_by
 from .points import moments_of_sum
-from .quasi_random import quasi_random, systematic
+from .quasi_random import STATES, quasi_random, systematic
 from .shapes import Shape
 
 ENTRIES = 2**21  # of an array of states times pieces: 8 ENTRIES = 16 MB
-_STATES = 2**15  # that stand for the density: random ones would have its mean within 1 / √_STATES = .006
 NEAR = 2.5  # widths of a piece within which neighbours' middles lie: 2 Φ(-2.5) = .012 of it lies beyond
 _OF_ONE = 5  # nodes of one state: Gauss's rule of so many is exact to degree 2 · 5 - 1 = 9
 
@@ -169,7 +168,7 @@ class GaussianPieces(Shape):
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
         """States spread evenly in each piece, as many in all, and in each by its share."""
-        n_each = np.maximum((_STATES * self.pieces.w).astype(int), 64)
+        n_each = np.maximum((STATES * self.pieces.w).astype(int), 64)
         own = np.repeat(np.arange(len(n_each)), n_each)
         number = np.arange(len(own)) - np.searchsorted(own, own)  # even among those of every piece
         even = quasi_random(len(own), self.pieces.mean.shape[1], 0, number)

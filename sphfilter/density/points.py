@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import Floats, Ints
+from ..core.cloud import lineages
 from ..core.cloud.control import decisive, error_by, expected_square, smoothed, square_of_more
-from ..core.cloud.lineages import carriers
 from ..core.cloud.pace import Bias
 from ..core.cloud.steps import Leg
 from ..core.cloud.weights import weighted_moments
@@ -143,19 +143,12 @@ class CloudState(NamedTuple):
         return begins and self.inherited == 0.0
 
 
-class Carried(NamedTuple):
-    """States x (N, n), weights w (N,) of sum one, the evidence, and how many independent points they are."""
+class Carried(lineages.Carried):
+    """What `core.cloud.lineages` says of states x (N, n), which are rows here.
 
-    x: Floats
-    w: Floats
-    lineage: Ints  # (readings, N): ancestors among the prior's points, and those of readings before
-    log_evidence: float
-    mean: Floats  # (n,)
-    cov: Floats  # (n, n)
-    alone: float  # for variances, were each point its own
-    of_variance: float  # for variances
-    effective: float  # for means
-    lineages: float  # for the evidence
+    Copies of a point count once. Where points are few, the error of a mean is about 1/√effective standard
+    deviations, and that of the log-evidence 1/√lineages, whatever clouds agree on.
+    """
 
     @classmethod
     def of(cls, x: Floats, log_w: Floats, ancestor: Ints, older: Ints = NO_LINES) -> "Carried":
@@ -163,7 +156,7 @@ class Carried(NamedTuple):
 
         The prior's points may have lineages (readings, M).
         """
-        x, *rest = carriers(columns(x), log_w, ancestor, older)
+        x, *rest = lineages.carriers(columns(x), log_w, ancestor, older)
         return cls(x.T, *rest)
 
 

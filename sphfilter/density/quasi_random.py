@@ -1,6 +1,7 @@
 """Points that lie more evenly than random ones, by a key or as a net: always the same."""
 
 import warnings
+from enum import IntEnum
 from functools import cache, lru_cache
 
 import numpy as np
@@ -13,8 +14,18 @@ from ..core.cloud.noise import even_normals
 #: Standard deviations of the Gaussian that points come from, over the density's own. Measured: with 1.0 the
 #: error of lorenz is 1.15 times as large, with 1.3 that of the pendulum 1.5 times.
 _WIDER = 1.15
-_OF_DENSITY = 10_000  # part of nets from which points of densities come: no path has as many predictions
+#: States that stand for a density, and as few as will do where it is only looked at: random ones would have
+#: its mean within 1 / √2^15 = .006 and 1 / √2^12 = .016.
+STATES, FEW_STATES = 2**15, 2**12
 _SEED = 20220  # of the one scrambling that all nets have
+
+
+class NetPart(IntEnum):
+    """Nets that are of no passage of a path, whose numbers are less: see `passage.MOST`."""
+
+    LED = 30  # what leads points to a reading
+    START = 31  # points of a Gaussian; clouds beside each other have the next ones
+    DENSITY = 10_000  # points of any density
 
 
 def spread_evenly(count: int, n: int, shift: Floats | float = 0.0, order: Ints | None = None) -> Floats:
@@ -61,7 +72,7 @@ def weighted_points(
     They come from a Gaussian somewhat wider than that, weighted by the ratio of the two.
     """
     mean, cov = moments
-    z = _WIDER * even(count, len(mean), key, _OF_DENSITY)
+    z = _WIDER * even(count, len(mean), key, NetPart.DENSITY)
     x = mean + np.einsum("ij,kj->ik", z, np.linalg.cholesky(cov))
     log_w = log_p(x) + 0.5 * np.sum(z**2, axis=1) / _WIDER**2
     w = np.exp(log_w - log_w.max())

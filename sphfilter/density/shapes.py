@@ -30,7 +30,7 @@ from .quasi_random import quasi_random, spread_evenly, systematic
 LATTICE_SUPPORT = 1.2  # smoothing length on a lattice over its spacing: the coupling eta = h / dx of 000
 _CANDIDATES = 8  # states in cells over points drawn; measured: half, twice change errors by .9, .7 times
 _OF_MODES = 1.0 / 8.0  # of points, drawn from all modes as often: so much less the others are worth
-_CELL_POINTS = 2**17  # in all cells, up to 128 in each and at least 16: 8 n bytes each = n MB
+CELL_POINTS = 2**17  # in all cells, up to 128 in each and at least 16: 8 n bytes each = n MB
 #: Mean (n,) and covariance (n, n).
 Moments: TypeAlias = tuple[Floats, Floats]
 
@@ -394,7 +394,7 @@ class Folded(Shape):
         return *self.domain.within(low.min(), high.max(), 0.0), width
 
 
-def _cell_points(n: int, cells: int, smooth: bool, most: int = _CELL_POINTS, least: int = 4) -> Floats:
+def _cell_points(n: int, cells: int, smooth: bool, most: int = CELL_POINTS, least: int = 4) -> Floats:
     """Points (k, n) of a unit cell; or (cells, k, n), each cell's own, where sums in rows are no use."""
     from scipy.stats import qmc  # on use: import time
 

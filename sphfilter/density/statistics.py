@@ -21,6 +21,8 @@ from . import weighted
 from .cloud import KERNEL, points_of, smoothing_length
 from .defect import OF_SHIFT, read_out
 from .points import moments
+from .quasi_random import FEW_STATES
+from .shapes import CELL_POINTS
 from .weighted import WeightedStates
 
 if TYPE_CHECKING:
@@ -31,9 +33,6 @@ _FEW_SUBPOINTS = 16  # where the density at each is wanted
 #: Points of a distribution function in a smoothing length or a cell: in units of it Simpson's rule misses
 #: h^4 / 180 = 8e-8 of a fourth derivative, h = 1 / 16.
 _FINE = 16
-_MOST_FINE = 2**17  # in all: 8 bytes each = 1 MB
-#: States that stand for a density. The same ones are moved, so that a change is known to 1 / √4096 = .016.
-_POINTS = 4096
 _MOST_OFF = 1.0  # of log p: exp(1) - 1 is 1.7 times the first order, which is all that a defect is known to
 
 Answer = Callable[["ParticleDensity"], Any]
@@ -180,7 +179,7 @@ def _distribution(one: "ParticleDensity") -> tuple[Floats, Floats]:
 
     lows, highs, width = one.form.ends()
     low, high = float(lows.min()), float(highs.max())
-    count = int(min(_FINE * (high - low) / float(np.median(width)), _MOST_FINE))
+    count = int(min(_FINE * (high - low) / float(np.median(width)), CELL_POINTS))
     y = np.linspace(low, high, max(count, _FINE) + 1)
     F = integrate.cumulative_simpson(one.pdf(y[:, None]), x=y, initial=0.0)
     F = np.maximum.accumulate(F)  # parabolas through nothing but zeros and a first value undershoot
@@ -206,7 +205,7 @@ def _by_defect(density: "ParticleDensity", answer: Answer) -> Floats:
     family, defect = density.family, density.defect
     if family is None or defect is None:
         return _by_moving(density, answer)
-    x, w = points_of(density, _POINTS, 0)
+    x, w = points_of(density, FEW_STATES, 0)
     away = x - family.mu if density.domain is None else density.domain.nearest(x - family.mu)
     off = defect.at(family, family.mu + away)
     heavier = w * np.exp(np.clip(off - w @ off, -_MOST_OFF, _MOST_OFF))
@@ -239,7 +238,7 @@ def _by_parts(density: "ParticleDensity", answer: Answer) -> Floats:
 
 def _by_moving(density: "ParticleDensity", answer: Answer) -> Floats:
     """Of a density without points of its own: by how much it changes as mean and variances are off."""
-    points = points_of(density, _POINTS, 0)
+    points = points_of(density, FEW_STATES, 0)
     return _moved(density, answer, points, answer(_cloud(density, *points)), density.error)
 
 

@@ -34,7 +34,7 @@ from .particle_density import ParticleDensity
 from .passage import gone_again
 from .pieces import Pieces
 from .points import NO_LINES, CloudState, Origin, Pace, Passage, Path, Points, Told, moments
-from .quasi_random import weighted_points
+from .quasi_random import FEW_STATES, weighted_points
 
 #: Arrays by name.
 Arrays: TypeAlias = dict[str, NDArray[Any]]
@@ -44,7 +44,6 @@ _FIELD = "mu", "A", "node", "kept", "log_p"  # what a field is built from
 #: What a density is kept in besides its particles, and the arrays that make it again.
 _KEPT = {"field": _FIELD, **{name: kind._fields for name, kind in _TUPLES.items()}}
 _ARRAYS = "x", "mass", "h", "log_density", "invariant"
-_OF_FAMILIES = 2**12  # points of a sum of families: random ones would have a mean within 1 / √2^12 = .016
 
 
 def stored(density: ParticleDensity) -> Arrays:
@@ -170,10 +169,10 @@ def _points_of_families(arrays: Arrays, about: dict[str, Any]) -> ParticleDensit
         each = [log_w + one.log_p(X) for log_w, one in zip(arrays["log_w"], families, strict=True)]
         return np.asarray(np.logaddexp.reduce(each))
 
-    x, w = weighted_points(log_p, about["moments"], _OF_FAMILIES, 0)
+    x, w = weighted_points(log_p, about["moments"], FEW_STATES, 0)
     points = Points(matched(x, w, *about["moments"]), w)
     few = w[::SHADOW] / w[::SHADOW].sum()
-    state = CloudState(points, Points(points.x[::SHADOW], few), _OF_FAMILIES, inherited=about["error"])
+    state = CloudState(points, Points(points.x[::SHADOW], few), FEW_STATES, inherited=about["error"])
     return _as_cloud(state._replace(age=(about["needs"] or Memory()).age), about)
 
 

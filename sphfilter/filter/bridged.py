@@ -15,14 +15,14 @@ import numpy as np
 from .._types import Floats, Ints
 from ..core.cloud.blocks import blocks_of, centres
 from ..core.cloud.bridge import MISSED, MORE
-from ..core.cloud.guide import look_ahead, over_both
-from ..core.cloud.reader import PARTS, WIDER
+from ..core.cloud.guide import look_ahead, of_first, over_both
+from ..core.cloud.reader import PARTS
 from ..core.cloud.weights import effective, normalise
 from ..core.limits import TINY
-from ..density.passage import LED, along, gone, normals, relinearised, stored_key, sub_key
+from ..density.passage import along, gone, normals, relinearised, stored_key, sub_key
 from ..density.points import Carried, Passage, Points, columns
-from ..density.quasi_random import net
-from .stacked import Stacked, seen
+from ..density.quasi_random import NetPart, net
+from .stacked import Stacked, Walked, seen
 
 
 def bridged(points: Points, sensor: Stacked, key: int, least: float) -> Carried | None:
@@ -43,7 +43,8 @@ def bridged(points: Points, sensor: Stacked, key: int, least: float) -> Carried 
             passages, u, y = _anew(passages, x, block, own)
         w = np.empty(len(x))
         total = normalise(log_w, w)
-        ancestor, v, log_ratio = _led(x, y, u, w, block, passages, sensor, count, own)
+        walked = Walked(x, y, u, np.full(len(x), 1.0 / len(x)), block)
+        ancestor, v, log_ratio = _led(walked, passages, w, sensor, count, own)
         if not len(ancestor) or (stage == 0 and effective(1.0 * np.bincount(ancestor)) < least):
             return None
         z = gone(passages[0], x[ancestor], v, block[ancestor], True)
@@ -70,22 +71,17 @@ def _anew(passages: Any, x: Floats, block: Any, key: Any) -> tuple[Any, Any, Flo
 
 
 def _led(
-    x: Floats, y: Floats, u: Any, w: Floats, block: Any, passages: Any, sensor: Any, count: int, key: Any
+    walked: Walked, passages: Any, w: Floats, sensor: Stacked, count: int, key: Any
 ) -> tuple[Ints, Floats, Floats]:
     """Ancestors (count,), what leads them over the first of the passages (count, n), and what that is worth.
 
-    The last are logarithms of the guide's density over the prior's, of the N points and of the new ones:
-    x (N, n) are the points now, y where they came with noise u of each of the passages.
+    The last are logarithms of the guide's density over the prior's, of the points that have `Walked`, of
+    shares w (N,), and of the new ones.
     """
-    N, n = x.shape
-    way = x, y, u, np.full(N, 1.0 / N), block
-    rows, _, r, ahead, L, HL, R = seen(sensor, passages, *way, sensor.predict(y), WIDER, MISSED)
-    first = HL
-    if rows is not None:  # what moves points later is noise of the reading
-        first, L = (np.ascontiguousarray(A @ rows[:, :, :n]) for A in (HL, L))
-        R = R + HL @ HL.swapaxes(1, 2) - first @ first.swapaxes(1, 2)
-    about = (r, ahead, L, first, np.ascontiguousarray(R)), columns(u[0])
-    ancestor, new, log_ratio = look_ahead(*about, w, block, net(count, n, LED).T, np.uint64(key))
+    n = walked.x.shape[1]
+    rows, _, ahead = seen(sensor, passages, walked, sensor.predict(walked.y), MISSED)
+    about = of_first(ahead, rows), columns(walked.u[0]), w, walked.block
+    ancestor, new, log_ratio = look_ahead(*about, net(count, n, NetPart.LED).T, np.uint64(key))
     return ancestor, new.T, log_ratio
 
 

@@ -15,7 +15,7 @@ from ..density.as_cloud import cloud_of
 from ..density.as_family import moments_on_line
 from ..density.memory import doubtful_from, flagged_from
 from ..density.particle_density import ParticleDensity
-from ..density.passage import READING, moved_points, stored_key
+from ..density.passage import Use, moved_points, stored_key
 from ..density.points import CloudState, Pace, Points, Told
 from ..density.quasi_random import systematic
 from ..errors import PropagationError
@@ -104,26 +104,26 @@ class CloudReading(NamedTuple):
 
 def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading | None:
     """A cloud and its shadow times a likelihood; None where that is zero at all points."""
-    found = weighed(state.points, sensor, stored_key(state.age, READING))
+    found, points = weighed(state.points, sensor, stored_key(state.age, Use.READING))
     if not math.isfinite(found.log_evidence):
         return None
-    beside = weighed(state.shadow, sensor, stored_key(state.age, READING + 1))
-    lineage = None if beside.points.lineage is None else beside.points.lineage[:1]  # it goes back no further
-    shadow, told = beside.points._replace(lineage=lineage), state.told
+    beside, few = weighed(state.shadow, sensor, stored_key(state.age, Use.READING + 1))
+    lineage = None if few.lineage is None else few.lineage[:1]  # it goes back no further
+    shadow, told = few._replace(lineage=lineage), state.told
+    moments = found.mean, found.cov
     if math.isfinite(beside.log_evidence):
-        sums = found.moments, beside.moments
-        off = squared_differences(found.points, shadow, sensor.domain, sums)
-        told = told.or_expected(beside.effective, beside.points.x.shape[1])
+        off = squared_differences(points, shadow, sensor.domain, (moments, (beside.mean, beside.cov)))
+        told = told.or_expected(beside.effective, few.x.shape[1])
         told = told.after(*off, (found.log_evidence - beside.log_evidence) ** 2)
     else:  # none of the few sees the reading: a part of the many goes on beside them
-        shadow = _part_of(found.points, len(state.shadow.w))
+        shadow = _part_of(points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
     numbers = found.effective, found.of_variance, state.size
     errors = errors_told(told.mean, told.variance, *numbers, state.pace.bias)
     pace = Pace(state.pace.step, state.pace.stiff)
-    state = state._replace(points=found.points, shadow=shadow, told=told, pace=pace)
-    unsure = evidence_error(told.log_evidence, found.lineages, state.size, len(found.moments[0]))
-    return CloudReading(state, found.moments, found.log_evidence, unsure, *errors)
+    state = state._replace(points=points, shadow=shadow, told=told, pace=pace)
+    unsure = evidence_error(told.log_evidence, found.lineages, state.size, len(found.mean))
+    return CloudReading(state, moments, found.log_evidence, unsure, *errors)
 
 
 def error_added(
@@ -154,10 +154,10 @@ def error_added(
         moved, t, age = moved_points(moved, model, t, end, steps, many, stored_key(age, 1)), end, age + 1
     if not np.isfinite(moved.x).all():
         return math.nan
-    beside = weighed(moved, sensor, stored_key(age, READING + 1))
+    beside, few = weighed(moved, sensor, stored_key(age, Use.READING + 1))
     if not math.isfinite(beside.log_evidence):
         return math.nan
-    off = squared_differences(after.points, beside.points, sensor.domain, (moments, beside.moments))
+    off = squared_differences(after.points, few, sensor.domain, (moments, (beside.mean, beside.cov)))
     return Told(*off).decisive(target, len(moments[0]))
 
 

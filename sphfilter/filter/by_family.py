@@ -14,7 +14,7 @@ from ..density.defect import OF_UNSIGNED, after_reading, read_out
 from ..density.family import Family, gaussian_family, moments_apart, node_moments
 from ..density.family_posterior import family_posterior
 from ..density.particle_density import ParticleDensity
-from ..density.passage import age_of, stored_key
+from ..density.passage import Use, age_of, stored_key
 from ..errors import PropagationError
 from ..model.measurements import block, is_gaussian
 from .inherited import evidence_error_by, evidence_error_of, shift_left_by_update
@@ -24,7 +24,6 @@ _LOOKED_AT, _FEW = 512, 8.0  # points of a prior that a posterior is looked for 
 #: Standard deviations that each point from which states explaining a reading are looked for stands for: one
 #: d deviations off widens a variance, s² of the prior's, by exp(-d² / 2) (d / s)², by .1 at d = 3.5, s = .5.
 _APART = 2.5
-_ELSEWHERE = 4  # of the key of an age: these points
 _MORE, _NEGLIGIBLE = 2.0, 9.0  # in logarithms: of a posterior over its family, and below its peak
 _LOST = 1e3  # an error that is as bad as any
 
@@ -113,7 +112,7 @@ def _errors_beyond_nodes(
     if a state explains the reading as well and is nowhere near, or too few points lie where the posterior is
     to tell.
     """
-    key = stored_key(age_of(density), _ELSEWHERE)
+    key = stored_key(age_of(density), Use.ELSEWHERE)
     X, mass = points_of(replace(density, domain=None), _LOOKED_AT, key)
     weight = asked.weight_on(density.domain)
     (_, cov), (own_mean, own_cov) = _moments(prior), _moments(posterior)

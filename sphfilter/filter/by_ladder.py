@@ -5,13 +5,14 @@ from dataclasses import replace
 from typing import Any
 
 from ..config import FilterConfig
+from ..core.step_control import TRIES
 from ..density.as_family import as_polynomials, may_miss
 from ..density.defect import ROUGH
 from ..density.memory import Memory, error_budget, flagged_from, min_nodes, tolerated_excess
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..info import DOUBTFUL, Code, may_be_off
-from ..prediction.again import MOST
+from ..lattice.resolved import MOST
 from ..prediction.family import fits_density
 from ..prediction.ladder import becomes_cloud, best_family, first_degree, prefers_cloud
 from ..prediction.to_target import ORDER
@@ -21,8 +22,6 @@ from .by_lattice import by_lattice
 from .by_pieces import by_pieces
 from .inherited import left_by_update, shift_left_by_update
 from .reading_at_prior import Posterior, ReadingAtPrior
-
-_TRIES = 3
 
 
 def by_ladder(
@@ -98,7 +97,7 @@ def _on_lattice(
 ) -> tuple[Posterior, Memory]:
     """The posterior on a lattice, of more nodes where the error asks for it."""
     nodes, before = needs.nodes or min_nodes(density.dim), math.inf
-    for left in range(1 if config.time_budget else _TRIES, 0, -1):
+    for left in range(1 if config.time_budget else TRIES, 0, -1):
         laid, known = on_lattice(density, nodes), may_miss(density)
         if known:  # what its defect tells of, too, and better
             laid = laid.noted(error=math.sqrt(max(laid.error**2 - density.error**2, 0.0)))

@@ -21,6 +21,7 @@ from ..density.cloud import points_of
 from ..density.particle_density import ParticleDensity
 from ..density.passage import MOST, age_of, chosen_steps, moved_points, points_of_sample, stored_key
 from ..density.points import Points
+from ..density.quasi_random import STATES
 from ..model.discrete import DiscreteModel
 from ..model.domain import Domain
 from ..model.dynamics import Dynamics
@@ -31,7 +32,6 @@ from ..prediction.cloud import least_steps, without_runaways
 #: A region of states X (M, n): booleans (M,), or numbers that are positive inside.
 Event: TypeAlias = Callable[[Floats], ArrayLike]
 
-_POINTS = 2**15  # measured: probabilities of .1 to .8 are within .001 where g is numbers
 _MOST_LOOKS = 2**11  # measured: of Brownian motion and booleans .55 is then .005 off, in two seconds
 
 
@@ -48,7 +48,7 @@ def passed(
     Models are those of the intervals that end at the times.
     """
     bridged = _numbers(event, density.x[:1], density.domain) is not None
-    keys = [(count, stored_key(age_of(density), count)) for count in (_POINTS // SHADOW, _POINTS)]
+    keys = [(count, stored_key(age_of(density), count)) for count in (STATES // SHADOW, STATES)]
     clouds = [points_of_sample(Points(*points_of(density, n, key)), n, key) for n, key in keys]
     found: list[Floats] = []
     apart, before, looks = [], np.full(len(times), np.nan), 1
@@ -58,7 +58,7 @@ def passed(
         apart.append((many - few) / SHADOW**0.6)
         best = np.mean(found[-2:], axis=0) if bridged else _limit(found)
         much = len(found) > 1 and 2 * looks * len(times) > _MOST_LOOKS
-        if much or np.abs(best - before).max() < _POINTS**-0.6 or isinstance(models[0], DiscreteModel):
+        if much or np.abs(best - before).max() < STATES**-0.6 or isinstance(models[0], DiscreteModel):
             break
         before, looks = best, 2 * looks
     of_looks = 0.0 if len(found) == 1 else 0.5 * (best - before)

@@ -14,20 +14,19 @@ from numba.core.errors import NumbaError
 from .._types import Floats
 from ..config import CloudScheme
 from ..core.cloud import cycle
-from ..core.cloud.control import is_flagged
 from ..density.as_cloud import cloud_of
 from ..density.memory import MISSED, Memory, doubtful_from, flagged_from
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Through, put_through
 from ..density.points import CloudState
 from ..density.resample import max_particles_of, target_of
-from ..errors import ModelError, PropagationError
+from ..errors import ModelError
 from ..info import DOUBTFUL
 from ..model.measurements import GaussianMeasurement
 from ..model.sde import SDE
-from ..prediction.cloud import as_points, carried_cloud, least_steps, shadow_size
+from ..prediction.cloud import as_points, least_steps, shadow_size
 from ..prediction.ladder import becomes_cloud
-from .by_cloud import cloud_times_likelihood, error_added
+from .by_cloud import error_added
 from .read_only import read_only as as_found
 from .reading_at_prior import ReadingAtPrior, reading_of
 from .stacked import Stacked
@@ -139,28 +138,15 @@ class _Run:
         self.before = self.reached  # one reading earlier
         self._steady = model.autonomous or model.linear or not isinstance(model, SDE)
         self._known: Stacked | None = None
-        self._raised = False
 
     def through(self, times: Floats, Z: Floats) -> bool:
         """Put readings (K, k) at times (K + 1,) through; false where one of them is the filter's."""
-        first, unusual = len(self.reached.rows), False
+        first = len(self.reached.rows)
         if not len(Z) or self._stacked(Z[0], times[1]).reader is None:
             return False
         while (k := len(self.reached.rows) - first) < len(Z):
-            before = self.reached
-            if before.state.begins and not unusual and not self._raised:
-                try:
-                    unusual, over = self._at_once(times[k:], Z[k:])
-                except (SystemError, NumbaError):  # a Ctrl-C, or a fault of the library
-                    raise
-                except Exception:  # step by step, up to the reading at which a function raises
-                    self._raised, over = True, False
-                if over:
-                    return False
-            if self.reached is before:
-                if not self._in_turn(times[k : k + 2].tolist(), Z[k]):
-                    return False
-                unusual = False
+            if not self.reached.state.begins or not self._at_once(times[k:], Z[k:]):
+                return False
         return True
 
     def _stacked(self, z: Floats, t: float) -> Stacked:
@@ -170,29 +156,34 @@ class _Run:
         self._known = self._known or Stacked.of((asked,), None)
         return self._known.again(asked)
 
-    def _at_once(self, times: Floats, Z: Floats) -> tuple[bool, bool]:
-        """Put readings through by one call of compiled code; is the next unusual, or the filter's?"""
+    def _at_once(self, times: Floats, Z: Floats) -> bool:
+        """Put readings through by one call of compiled code; false where the next is the filter's."""
         (state, needs, *_), model, target = self.reached, self._model, self._target
         count = needs.cloud(target, model.dim)
         K = min(len(Z), max(_POINTS // count, 1)) if self._steady else 1
         times, Z = times[: K + 1], Z[:K]
-        spans = zip(times[:-1].tolist(), times[1:].tolist(), strict=True)
-        least = np.array([least_steps(model, state.points.x, span) for span in spans])
         told = flagged_from(target), doubtful_from(target), DOUBTFUL
-        bounds = target, MISSED * target, *told, CloudScheme().max_steps
+        bounds = cycle.Bounds(target, MISSED * target, *told, CloudScheme().max_steps)
+        about = (count, shadow_size(count)), needs.calm, bounds
         reader = self._stacked(Z[0], times[1]).reader
         assert reader is not None
-        about = least, (count, shadow_size(count)), needs.calm, cycle.Bounds(*bounds)
-        found, refused = put_through(state, model, times, (reader, Z), *about), False
-        judged = found.end == cycle.JUDGE and not self._added(found, times, Z) <= MISSED * target
-        if judged or found.end == cycle.MISSED:
+        spans = zip(times[:-1].tolist(), times[1:].tolist(), strict=True)
+        try:
+            least = np.array([least_steps(model, state.points.x, span) for span in spans])
+            found = put_through(state, model, times, (reader, Z), least, *about)
+            refused = found.end == cycle.JUDGE and not self._added(found, times, Z) <= MISSED * target
+        except (SystemError, NumbaError):  # a Ctrl-C, or a fault of the library
+            raise
+        except Exception:  # a user's function raises at one of them, up to which the filter goes
+            return False
+        if refused or found.end == cycle.MISSED:
             found, refused = found.before, True  # more points help where this cycle has added its error
         if found.done:
             rows, rest = _rows(self._sensor, Z[: found.done], times[1:], found.rows), found.before
             alone = rest is None or rest.done == 0
             self.before = self.reached if alone else self._put(rest, rows, times)
             self.reached = self._put(found, rows, times)
-        return found.end == cycle.UNUSUAL, refused
+        return not refused and found.end != cycle.UNUSUAL
 
     def _put(self, found: Through, rows: list[dict[str, Any]], times: Floats) -> _Reached:
         """How far the record is, where compiled code has put it through so many readings."""
@@ -206,35 +197,6 @@ class _Run:
         (t0, t1), (_, _, x, P, *_) = times[k : k + 2].tolist(), found.rows
         about = [(self._model, t1)], t0, self._stacked(Z[k], t1), (x[k], P[k]), self._target
         return error_added(found.before.state if k else self.reached.state, found.state, *about)
-
-    def _in_turn(self, span: Sequence[float], z: Floats) -> bool:
-        """Put the next reading through step by step; false where a filter would do more."""
-        (state, needs, *_), target, model, sensor = self.reached, self._target, self._model, self._sensor
-        stacked, (t0, t1) = self._stacked(z, span[1]), span
-        try:
-            scheme = CloudScheme(n_points=needs.gone_on().cloud(target, model.dim))
-            moved = carried_cloud(state, model, (t0, t1), scheme, target)
-        except PropagationError:
-            return False
-        points = moved.state.points
-        done = cloud_times_likelihood(moved.state, stacked) if moved.lost == 0.0 else None
-        if done is None:
-            return False
-        expected, S, _ = reading_of(sensor, span[1], points.x, points.w, moved.moments)
-        y, S = sensor.residual(z, expected), S + sensor.noise_cov
-        done = done.inheriting(moved.state, moved.moments)
-        flags = doubtful_from(target), flagged_from(target)
-        flagged = is_flagged(moved.error, done.error, done.of_variance, *flags)
-        told = done.state.told.decisive(target, model.dim)
-        if max(done.error, told) > MISSED * target:
-            added = error_added(state, done.state, [(model, t1)], t0, stacked, done.moments, target)
-            if not added <= MISSED * target:
-                return False
-        needs = needs._replace(legs=0, age=done.state.age).told(told, target, done.state.size, model.dim)
-        said = done.log_evidence, done.evidence_error, done.error, done.variance_error
-        row = _row(*moved.moments, *done.moments, *said, y, S, flagged)
-        self.before, self.reached = self.reached, self.reached.and_on(done.state, needs, [row], span[1])
-        return True
 
 
 def _usual(filt: Any) -> bool:

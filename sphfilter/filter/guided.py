@@ -4,7 +4,7 @@ Both passes are weighted together: each point by its likelihood over the mixture
 drawn from, so that the guide, whatever it is worth, never makes a posterior worse than none.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -14,44 +14,23 @@ from ..core.cloud.bridge import bridge
 from ..core.cloud.control import is_better, is_led, is_tempered, least_led
 from ..core.cloud.curve import places
 from ..core.cloud.guide import look_ahead, over_both
-from ..core.cloud.reader import GUIDE, PARTS, WIDER, Part
+from ..core.cloud.reader import GUIDE, PARTS, Part
 from ..core.cloud.reading import OWN, weigh
 from ..core.cloud.steps import NO_LEG
 from ..core.cloud.weights import effective, prior_times
 from ..core.limits import ALIKE
-from ..density.passage import LED, gone, leading_nets, nets_of, normals, sub_key
+from ..density.passage import gone, leading_nets, nets_of, normals, sub_key
 from ..density.points import Carried, Points, Prior, columns
-from ..density.quasi_random import net
+from ..density.quasi_random import NetPart, net
 from ..model.compile import surfacing
 from .bridged import bridged
 from .pilot import piloted
-from .stacked import Stacked, seen
+from .stacked import Stacked, Walked, seen
 from .tempered import tempered
 
 
-class Weighed(NamedTuple):
-    """A posterior as points, its log-evidence, and how many independent points each of them is an average of.
-
-    Copies of a point count once. Where they are few, the error of a mean is about 1/√effective standard
-    deviations, and that of the log-evidence 1/√lineages, whatever clouds agree on.
-    """
-
-    points: Points
-    log_evidence: float
-    effective: float  # 0 where no point can have been read: the points are the prior's
-    lineages: float
-    of_variance: float
-    moments: tuple[Floats, Floats]  # mean (n,), covariance (n, n)
-
-    @classmethod
-    def of(cls, found: Carried, points: Points, before: float = 0.0) -> "Weighed":
-        """What was found, in these points, where readings of the same time had this log-evidence before."""
-        numbers, moments = (found.effective, found.lineages, found.of_variance), (found.mean, found.cov)
-        return cls(points, found.log_evidence - before, *numbers, moments)
-
-
-def weighed(points: Points, sensor: Stacked, key: int) -> Weighed:
-    """Prior times the likelihood of all readings of one time.
+def weighed(points: Points, sensor: Stacked, key: int) -> tuple[Carried, Points]:
+    """Prior times the likelihood of all readings of one time, and points that go on: the prior's if it is 0.
 
     The prior may be the posterior of readings of the same time before, whose prior is taken then. The
     evidence is that of the readings of `sensor`, given those before.
@@ -65,7 +44,7 @@ def weighed(points: Points, sensor: Stacked, key: int) -> Weighed:
     if not found.lineages > 0.0:
         x, w, lineage = points.x, points.w, np.arange(len(points.w))[None]
     after = Points(x, w, None, Prior(points, sensor.asked, found.log_evidence), lineage)
-    return Weighed.of(found, after, before)
+    return found._replace(log_evidence=found.log_evidence - before), after
 
 
 def _best(points: Points, sensor: Stacked, key: int) -> Carried:
@@ -85,10 +64,7 @@ def _best(points: Points, sensor: Stacked, key: int) -> Carried:
 
 def _better(best: Carried, other: Carried | None) -> Carried:
     """The better one of two, if there are two."""
-    if other is None:
-        return best
-    said, known = ((c.lineages, c.alone, c.log_evidence) for c in (other, best))
-    return other if is_better(*said, known) else best
+    return best if other is None or not is_better(other, best) else other
 
 
 def _at_once(points: Points, sensor: Stacked, key: int) -> Carried | None:
@@ -144,12 +120,12 @@ def _twice(points: Points, log_l: Floats, h: Floats, sensor: Stacked, key: int) 
     assert path is not None
     x, w, (x0, block, passages, U, _) = points.x, points.w, path
     (count, n), own = x.shape, sub_key(key, GUIDE)
-    rows, u, *about = seen(sensor, passages, x0, x, U, w, block, h, WIDER, WIDER * OWN)
-    ancestor, new, log_ratio = look_ahead(tuple(about), columns(u), w, block, net(count, n, LED).T, own)
+    rows, u, ahead = seen(sensor, passages, Walked(x0, x, U, w, block), h, OWN)
+    ancestor, new, log_ratio = look_ahead(ahead, u, w, block, net(count, n, NetPart.LED).T, own)
     if not len(ancestor):
         return None
     y, block, u = x0[ancestor], block[ancestor], new.T
-    V = [u] if rows is None else _led(rows, block, u, len(passages), own)
+    V = _led(rows, block, u, len(passages), own) if len(rows) else [u]
     for passage, v in zip(passages, V, strict=True):
         y = gone(passage, y, v, block, True)
     log_l = np.concatenate([log_l, sensor.log_likelihood(y)])

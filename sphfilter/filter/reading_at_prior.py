@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig
-from ..core.limits import TINY
+from ..core.limits import STEP, TINY
 from ..density.particle_density import ParticleDensity
 from ..density.points import moments, whitener
 from ..errors import ModelError
@@ -23,7 +23,6 @@ OUTLYING = 5.0  # standard deviations from its prediction: 2 Φ(-5) = 6e-7 of nu
 _SHARP = 5.0  # standard deviations of noise between nodes' readings ... (measured: half changes no run)
 _BENT = 1.0  # ... and that some are bent by in a cell (measured: half changes no run, twice errors by .8)
 _ITERATIONS = 8  # measured: half and twice change errors of four sharp readings by .6 to 1.4 times
-_STEP = 1e-4  # of a cell, for differences; measured: with 1e-6, 1e-2 errors are .9 to 1.7 times as large
 _DAMPED = 1e-6  # of the largest curvature; measured: with 1e-8, 1e-4 errors are .7 to 1.4 times as large
 
 
@@ -191,8 +190,8 @@ def solutions(sensor: GaussianSensor, z: Floats, x: Floats, cell: Floats, t: flo
         return None
     x = x.copy()
     for _ in range(_ITERATIONS):
-        moved = off((x + _STEP * cell.T[:, None]).reshape(-1, n)).reshape(n, len(x), -1)
-        slope = np.nan_to_num(np.moveaxis((moved - here) / _STEP, 0, 2))  # (N, k, n), by cells
+        moved = off((x + STEP * cell.T[:, None]).reshape(-1, n)).reshape(n, len(x), -1)
+        slope = np.nan_to_num(np.moveaxis((moved - here) / STEP, 0, 2))  # (N, k, n), by cells
         normal = np.swapaxes(slope, 1, 2) @ slope
         normal += (TINY + _DAMPED * np.trace(normal, axis1=1, axis2=2))[:, None, None] * np.eye(n)
         step = -np.linalg.solve(normal, np.swapaxes(slope, 1, 2) @ np.nan_to_num(here)[..., None])[..., 0]

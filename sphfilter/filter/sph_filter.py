@@ -18,11 +18,12 @@ from ..density.resample import max_particles_of
 from ..density.weighted import WeightedStates
 from ..errors import ModelError
 from ..info import NOTHING_CAME, PredictInfo, UpdateInfo
+from ..lattice.resolved import MOST
 from ..model.compile import StateFunction
 from ..model.dynamics import Dynamics
 from ..model.measurements import Sensor
 from ..model.named import InputRecord, InputValues, check_parameters, driven, parametrised
-from ..prediction.again import MOST, Outcome, or_as_cloud, predict_from_finer
+from ..prediction.again import Outcome, or_as_cloud, predict_from_finer
 from ..prediction.predict import Prediction, predict
 from ..prediction.to_target import Time
 from ..validate import count, real, seconds, short

@@ -8,7 +8,7 @@ from .._types import Bools, Floats, Ints
 from ..core._addresses import NOWHERE_AT
 from ..core._views import as_compiled
 from ..core.cloud.blocks import products
-from ..core.cloud.guide import joined, linear_reading, log_normals, without_noise
+from ..core.cloud.guide import Ahead, Moved, joined, linear_reading, log_normals, without_noise
 from ..core.cloud.linearise import lower_and_rows
 from ..core.cloud.reader import Reader
 from ..core.cloud.weights import finite_rows
@@ -19,7 +19,7 @@ from ..model.measurements import block as block_of
 from ..model.measurements import has_gaussian_noise, has_own_likelihood, is_gaussian
 from ..model.sensors import Sensors
 
-_NOTHING, _NO_MATRIX = np.empty(0), np.empty((0, 0))
+_NOTHING, _NO_MATRIX, _NO_ROWS = np.empty(0), np.empty((0, 0)), np.empty((0, 1, 1))
 
 
 class Stacked(NamedTuple):
@@ -190,48 +190,42 @@ def _blocks(parts: list[Floats]) -> Floats:
     return out
 
 
+class Walked(NamedTuple):
+    """Points that have gone a way of one or more passages."""
+
+    x: Floats  # (N, n), where they began
+    y: Floats  # (N, n), where they came
+    u: tuple[Floats, ...]  # (N, n) each: normals that moved the ends of each passage
+    w: Floats  # (N,) weights
+    block: Ints  # (N,)
+
+
 class Seen(NamedTuple):
     """A way of points as a sensor sees it, linearised in blocks: what a guide is made of."""
 
-    rows: Floats | None  # of what moves the end among what moves all passages; None of a single one
-    u: Floats  # what moves each point's end, (N, n)
-    r: Floats  # what was read less what each point would read without its noise, (k, N)
-    ahead: Floats  # ends of points without their noise, (n, N)
-    L: Floats  # of that noise, (blocks, n, n)
-    HL: Floats  # (blocks, k, n)
-    R: Floats  # noise that a guide takes, with what linearity misses, (blocks, k, k)
+    rows: Floats  # (blocks, n, d) of what moves the end among what moves all passages; none of a single one
+    u: Floats  # what moves each point's end, (n, N)
+    ahead: Ahead
 
 
-def seen(
-    sensor: Stacked,
-    passages: Any,
-    x: Floats,
-    y: Floats,
-    u: Any,
-    w: Floats,
-    block: Ints,
-    h: Floats,
-    wider: float,
-    misses: float,
-) -> Seen:
-    """A way as a sensor sees it, of points of weights w (N,) from x to y (N, n), with u of each passage.
+def seen(sensor: Stacked, passages: Any, walked: Walked, h: Floats, misses: float) -> Seen:
+    """A way as a sensor sees it, of points that have `Walked` along passages.
 
-    Of the ends, the readings are h (N, k). A guide takes `wider` times the sensor's noise, and `misses` times
-    what linearity misses.
+    Of the ends, the readings are h (N, k). A guide takes `misses` times what linearity misses.
     """
-    first, rows, whole = passages[0], None, u[0]
-    end, flow, lower = passages[-1].end, first.flow, first.lower
+    first, rows, u = passages[0], _NO_ROWS, [columns(v) for v in walked.u]
+    end, flow, lower, whole = passages[-1].end, first.flow, first.lower, u[0]
     if len(passages) > 1:
         for p in passages[1:]:
             flow, lower = joined(flow, lower, p.flow, p.lower)
         lower, rows = lower_and_rows(lower)
-        whole = products(rows, np.concatenate([columns(v) for v in u]), block).T
-    begun, moved = columns(x), columns(whole)
-    ahead = without_noise(columns(y), begun, moved, lower, flow, block)
-    r = columns(sensor.residual(sensor.predict(ahead.T)))
-    about = flow, lower, *map(as_compiled, (sensor.jacobian(end), sensor.covariance(end))), sensor.angle
-    HL, R = linear_reading(columns(h), begun, moved, w, block, *about, wider, misses)
-    return Seen(rows, whole, r, ahead, lower, HL, R)
+        whole = products(rows, np.concatenate(u), walked.block)
+    moved = Moved(columns(walked.x), columns(walked.y), whole, walked.w, walked.block, flow, lower)
+    y = without_noise(moved)
+    r = columns(sensor.residual(sensor.predict(y.T)))
+    H, R = map(as_compiled, (sensor.jacobian(end), sensor.covariance(end)))
+    about = linear_reading(moved, columns(h), H, R, sensor.angle, misses)
+    return Seen(rows, whole, Ahead(r, y, lower, *about))
 
 
 def _wrapped(r: Floats, angle: Bools) -> Floats:

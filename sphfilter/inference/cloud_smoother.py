@@ -27,7 +27,9 @@ from ..filter.sph_filter import SPHFilter
 from ..prediction.backward_points import Ahead, Leg, Said, parts_of, rooted, start_led, steps_of
 from ..prediction.cloud import as_points, squared_differences
 
-_MOST = 2048  # points at which λ is known; measured: half and twice change nothing of 512 points
+#: Points of a cloud, of which an update leaves twice as many, and at which λ is known. Measured: a quarter of
+#: them leaves means of linear models in four states .017 off, not .007.
+POINTS = 2048
 
 
 class _Smoothed(NamedTuple):
@@ -97,10 +99,10 @@ class _Side(NamedTuple):
         """Points of a density, a few thousand of them, evenly along the curve."""
         state = as_points(density, count)
         x, w = (state.shadow if self.shadow else state.points)[:2]
-        if len(w) <= _MOST:
+        if len(w) <= POINTS:
             return Points(x, w)
         order = along(x, w)
-        return Points(x[order[systematic(w[order], _MOST)]], np.full(_MOST, 1.0 / _MOST))
+        return Points(x[order[systematic(w[order], POINTS)]], np.full(POINTS, 1.0 / POINTS))
 
     def _back(self, epochs: Sequence[Any]) -> tuple[Said, list[list[Leg]]]:
         """What is said of the first epoch's states, and the legs of every interval."""

@@ -21,13 +21,13 @@ class Flooded(NamedTuple):
 
 
 def flood(
-    ask: OfStates, mean: Floats, A: Floats, start: tuple[Ints, Ints, Ints], ball: Ints, depth: float, *,
+    ask: OfStates, frame: tuple[Floats, Floats], start: tuple[Ints, Ints, Ints], ball: Ints, depth: float, *,
     most: float = math.inf, at_once: float = 0, highest: float = -math.inf,
 ) -> Flooded:  # fmt: skip
     """Values on all cells of a lattice that lie within a depth of the largest value, and on those beside.
 
-    `ask` takes states (M, n) to values (M,). The lattice has the middle `mean` (n,) of cell zero, and vectors
-    A (n, n) in columns. It `start`s with cells (S, n), one at least in every piece of the region, and corner
+    `ask` takes states (M, n) to values (M,). The lattice's frame is the middle (n,) of cell zero, and vectors
+    (n, n) in columns. It `start`s with cells (S, n), one at least in every piece of the region, and corner
     and size (n,) of a box around them; a `ball` (B, n) are the steps from a cell to those beside it. After
     `most` cells no more are asked; of a box as small as `at_once` all are asked at once. The `highest` value
     is that which is known.
@@ -37,7 +37,7 @@ def flood(
         return Flooded(np.empty(0), low, dims, np.empty(0, np.int64), highest, False)
     value, asked = np.full(np.prod(dims), cells.UNKNOWN), np.empty(0, np.int64)
     if value.size <= at_once:
-        asked, highest, whole = _at_once(ask, mean, A, (value, low, dims), depth, ball)
+        asked, highest, whole = _at_once(ask, frame, (value, low, dims), depth, ball)
         if whole:
             return Flooded(value, low, dims, asked, highest, True)
         grown = cells.grown(value, low, dims, asked, highest - depth, ball)
@@ -45,7 +45,7 @@ def flood(
         grown = value, low, dims, asked, cells.seeded(found, low, dims)
     while grown is not None and grown[-1].size and grown[-2].size < most:
         value, low, dims, asked, found = grown
-        value[found] = ask(cells.states_of(found, mean, A, low, dims)[1])
+        value[found] = ask(cells.states_of(found, *frame, low, dims)[1])
         highest, asked = max(highest, value[found].max()), np.concatenate([asked, found])
         grown = cells.grown(value, low, dims, asked, highest - depth, ball)
     if grown is not None:
@@ -54,7 +54,7 @@ def flood(
 
 
 def _at_once(
-    ask: OfStates, mean: Floats, A: Floats, box: tuple[Floats, Ints, Ints], depth: float, ball: Ints
+    ask: OfStates, frame: tuple[Floats, Floats], box: tuple[Floats, Ints, Ints], depth: float, ball: Ints
 ) -> tuple[Ints, float, bool]:
     """All cells of a small box: waves would cost more than the cells they save.
 
@@ -62,7 +62,7 @@ def _at_once(
     Returns the numbers of these cells, the largest value, and whether the box holds them all.
     """
     value, low, dims = box
-    everywhere = ask(cells.states_of(np.arange(value.size), mean, A, low, dims)[1])
+    everywhere = ask(cells.states_of(np.arange(value.size), *frame, low, dims)[1])
     highest = everywhere.max()
     kept = np.flatnonzero(everywhere > highest - depth)
     value[kept] = everywhere[kept]

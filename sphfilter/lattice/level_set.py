@@ -100,8 +100,9 @@ def lay(
         A = np.ascontiguousarray(factor * spacing)
         start = cells.seeds_in_box(seeds, mean, np.linalg.inv(A), cells.furthest(n), low, dims), low, dims
         most, at_once = MOST_ASKED * n_particles, _SMALL_BOX * n_particles
+        ask = near_walls(log_p, walls, A, sten.widest)
         value, *box, asked, highest, fits = flood(
-            near_walls(log_p, walls, A, sten.widest), mean, A, start, ball, depth, most=most, at_once=at_once
+            ask, (mean, A), start, ball, depth, most=most, at_once=at_once
         )
         if not fits:
             raise PropagationError(

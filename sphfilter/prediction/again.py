@@ -8,6 +8,7 @@ from ..config import AnyConfig, CloudScheme
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, UnresolvedError
 from ..info import Code, PredictInfo, UpdateInfo
+from ..lattice.resolved import MOST
 from ..model.dynamics import Dynamics
 from ..model.sde import SDE
 
@@ -17,8 +18,6 @@ Found = TypeVar("Found")
 #: How many times finer a lattice may be along an axis than that of the density it starts from: beyond, it
 #: sees the borders between that one's polynomials. Measured: 2 and 6 change no run.
 FINEST = 3
-#: Particles of a step that is made again. Measured: twice takes up to 1.14 times the work, half the same.
-MOST = 20_000
 #: Evaluations of the drift that a step may take which is made again: some ten times those of a cloud.
 #: Measured: half and twice change no run.
 MOST_WORK = 1e7

@@ -15,7 +15,7 @@ from ..core._addresses import NOWHERE_AT, addresses, function_at
 from ..core._jit import jit
 from ..core.characteristics.aim import AIMED
 from ..core.characteristics.expectation import BACK, EXPECTED, Step
-from ..core.characteristics.noise_paths import Noise
+from ..core.characteristics.noise_paths import Begin, Noise, Span
 from ..core.characteristics.step_limits import driven_ends, path_error
 from ..core.field.field import Field
 from ..core.field.fitting import build_field
@@ -103,8 +103,9 @@ def _parts(entries: _Entries, noise: Noise, x: Floats, m: Floats, L: Floats, t: 
     """Runge-Kutta steps of paths from nodes x (N, n) of a density, with masses m and lower factor L."""
     drift, f, parts = function_at(entries.drift), np.empty(x.shape), 1
     drift(x, t, noise.p, f)
+    begin = Begin(x, f, f)
     while parts < _MOST_PARTS:
-        once, twice = driven_ends(drift, noise, x, f, t, h, parts)
+        once, twice = driven_ends(drift, noise, begin, Span(t, h, parts))
         if not path_error(once, twice, m, L) > _TOLERANCE:
             break
         parts *= 2

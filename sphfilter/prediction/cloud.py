@@ -26,8 +26,8 @@ from ..density.defect import read_out
 from ..density.left_out import LeftOut
 from ..density.particle_density import ParticleDensity
 from ..density.passage import (
-    READING,
     Transitions,
+    Use,
     age_of,
     chosen_steps,
     moved_points,
@@ -147,7 +147,7 @@ def left_out_later(density: ParticleDensity, model: Dynamics, t1: float) -> Left
     left, span = density.left_out, (density.t, t1)
     if left is None or not model.domain.unbounded:
         return None
-    copies, key = math.ceil(8 * LOOK / len(left.x)), stored_key(age_of(density), READING + 2)
+    copies, key = math.ceil(8 * LOOK / len(left.x)), stored_key(age_of(density), Use.LEFT_OUT)
     steps, points = Steps(model.own_steps(*span) or 1), Points(left.x, left.mass / left.mass.sum())
     if not (model.linear or model.own_steps(*span)):
         bounds = least_steps(model, left.x, span), CloudScheme().max_steps

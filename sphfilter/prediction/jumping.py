@@ -24,7 +24,7 @@ from ..core.cloud.noise import LANES
 from ..core.limits import GOLDEN, TINY
 from ..density.as_cloud import cloud_of
 from ..density.modes import ModeDensities
-from ..density.passage import along, change_of, leg_of, stored_key
+from ..density.passage import Use, along, change_of, leg_of, stored_key
 from ..density.points import CloudState, Points, columns, moments
 from ..errors import PropagationError
 from ..info import PredictInfo
@@ -43,7 +43,6 @@ from .cloud import (
 from .splitting_error import jump_times, jumps_of
 
 UNLIKELY = 1e-12  # probability of a mode below which it may not stop a prediction
-_KEY = 40  # of the key of an age: the jumps of a cloud, and of its shadow the next
 
 
 def suits(model: JumpMarkovModel) -> bool:
@@ -180,7 +179,7 @@ class _Sources:
         state, share = stayed.state, self.w[j] * self._way.staying(j) / forward[-1][j]
         clouds, sums, inherited = [], [], share * state.inherited**2
         for k, points in enumerate((state.points, state.shadow)):
-            key = stored_key(stored_key(stayed.state.age, _KEY + k), j)
+            key = stored_key(stored_key(stayed.state.age, Use.JUMPS + k), j)
             if share < 1.0:
                 came, before = self._came(forward, j, share, k, key)
                 x, w = np.concatenate([points.x, came.x]), [share * points.w, (1.0 - share) * came.w]

@@ -15,7 +15,7 @@ from ..core.cloud.control import MOST_POINTS
 from ..core.family.rules import degrees
 from ..core.limits import LITTLE
 from ..density.as_family import as_polynomials, family_density, moments_on_line
-from ..density.family import gaussian_family
+from ..density.family import ON_LATTICE, gaussian_family
 from ..density.memory import Memory, doubtful_from, error_budget, min_nodes, tolerated_excess, usual_points
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
@@ -39,7 +39,6 @@ _AS_FAMILIES = {1: 2**9, 2: 2**9, 3: 2**9, 4: 2**8, 5: 2**12}  # and of more as 
 #: As long as a lattice that makes the same error, by states: of one it pays sooner, and knows its tails; of
 #: three and more never. And as families of five and six, of thousands of nodes. (Of the same command.)
 _AS_LATTICES = {1: 2**11, 2: 2**13}
-LATTICE = 2  # states up to which a lattice may come after one family, and a cloud need not
 _LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 #: Evaluations of the drift that a lattice may take for each point of a usual cloud: 15 to 45 ns each, beside
 #: .6 µs of a point, or 5 to 15 times as long, for what it knows of tails. With five times as many three of
@@ -57,7 +56,7 @@ def first_degree(dim: int, needs: Memory) -> int:
 
 def prefers_cloud(dim: int, needs: Memory, target: float) -> bool:
     """Whether a cloud comes after one family, and not a lattice."""
-    return dim > LATTICE or (not needs.smooth and needs.cloud(target, dim) <= _AS_LATTICES[dim])
+    return dim > ON_LATTICE or (not needs.smooth and needs.cloud(target, dim) <= _AS_LATTICES[dim])
 
 
 def becomes_cloud(dim: int, needs: Memory, target: float) -> bool:

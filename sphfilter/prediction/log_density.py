@@ -28,6 +28,7 @@ from ..core.characteristics.control import (
     STEPS,
     VOLUME,
     Control,
+    Run,
 )
 from ..core.characteristics.expectation import BACK, BACK_IN_BLOCKS, EXPECTED, REFLECTED
 from ..core.characteristics.flood import LAY
@@ -52,11 +53,12 @@ from ..lattice.level_set import (
     gaussian_volume,
     lattice_reach,
 )
+from ..lattice.resolved import MOST
 from ..model.compile import surfacing
 from ..model.derived import scales
 from ..model.sde import SDE
 from ._shared import Predicted, blow_up, skip_notes
-from .again import FINEST, MOST
+from .again import FINEST
 from .time_slices import drift_slices, noise_samples
 
 _PAUSE_AFTER = 200  # steps between two chances to be interrupted
@@ -70,8 +72,9 @@ _TOLERANCES = 1e-7, 1e-4  # of that; measured: half, twice take up to 1.35 and .
 #: leaves one of nine lattices for a cloud; twice takes .6 to 1 times, with errors .5 to 3 times as large, and
 #: a hundred times, 2e-6, where they were tiny.
 _SHARE = 0.5
-#: Of the error allowed. Measured: half takes 1.13 and 1.23 times the work, twice .99 and .96 times.
-_STEPS_SHARE, _LATTICES_SHARE = 0.35, 0.35
+#: Of the error allowed, that steps may make, and lattices. Measured: half takes 1.13 and 1.23 times the work,
+#: twice .99 and .96 times.
+_EACH = 0.35
 # Residual that steps go by at least, over spacing⁴. Measured: half takes .9 to 1.3 times the work, twice .7
 # to 1.1 times; errors are .4 to 3 times as large with both.
 _LEAST = 0.02
@@ -139,8 +142,8 @@ def propagate(
         most_lost=max(scheme.most_lost, allowed / _PART),
         doubtful=DOUBTFUL / _PART,
         fewest=min_nodes(n),
-        steps=_STEPS_SHARE * allowed / _PART,
-        lattices=_LATTICES_SHARE * allowed / _LATTICES_PART.get(n, _PART),
+        steps=_EACH * allowed / _PART,
+        lattices=_EACH * allowed / _LATTICES_PART.get(n, _PART),
     )
     counters = np.zeros(len(COUNTERS), np.int64)
     longest = model.max_step
@@ -163,7 +166,7 @@ def propagate(
             break
         with surfacing():
             field, x, mass, mean, cov, code = march(
-                entries, noise, field, stencils(n), rule, control, times, state, counters
+                entries, noise, field, stencils(n), rule, times, Run(control, state, counters)
             )
         status = STATUS[code]
     if status == "not finite":

@@ -31,7 +31,7 @@ from ..density.family import OF_MISFIT, fitted, moments_apart, node_moments
 from ..density.memory import Memory, min_nodes
 from ..density.merging import OF_CHANGE, merged
 from ..density.particle_density import ParticleDensity
-from ..density.passage import age_of, stored_key
+from ..density.passage import Use, age_of, stored_key
 from ..density.pieces import Pieces, light, root_of
 from ..density.points import moments_of_sum
 from ..density.resample import folded_logarithm
@@ -39,8 +39,8 @@ from ..errors import PropagationError
 from ..lattice.check import misfit, remote
 from ..lattice.field import inside_lattice
 from ..lattice.level_set import lattice_reach, lay
+from ..lattice.resolved import MOST
 from . import family
-from .again import MOST
 from .ladder import first_degree, prefers_cloud
 
 _AWAY = 3.0  # standard deviations at which what is lost may lie: 2 Φ(-3) = .003 of a Gaussian lies beyond
@@ -48,7 +48,6 @@ _CHANGE = 1.0 / OF_CHANGE  # times the aim, that mergers may change log p by: OF
 _MOMENTS = ParticleDensity.mean, ParticleDensity.cov
 _MOST_PIECES, _COARSER = 200, 5  # of a sum, and times that it may change more until it has no more
 _TRIES, _FINER = 6, 2  # lattices, and times the nodes of the one before
-_POINTS = 5  # of the key of an age: the points of a part, and of the next
 _SEEDS = 1e-4  # of the heaviest node of a part: those by which a lattice finds all of its pieces
 
 
@@ -275,7 +274,7 @@ def _as_cloud(parts: Sequence[Part], about: ParticleDensity, target: float) -> P
         points, weights = density.x, density.mass
         if density.read_out != "cloud":
             many = max(math.ceil(w * count), 1000)
-            points, weights = points_of(density, many, stored_key(age_of(about), _POINTS + k))
+            points, weights = points_of(density, many, stored_key(age_of(about), Use.PARTS + k))
         x.append(points)
         mass.append(w * weights)
     return cloud_density(about, np.concatenate(x), np.concatenate(mass)).noted(needs=about.needs)

@@ -20,6 +20,7 @@ from .._types import Floats
 from ..config import CloudScheme, FilterConfig
 from ..core.cloud.control import power_of_two
 from ..density.as_family import gaussians_of
+from ..density.family import ON_LATTICE
 from ..density.memory import Memory, error_budget
 from ..density.modes import ModeDensities, SplittingError, no_ripple
 from ..density.particle_density import ParticleDensity
@@ -29,7 +30,7 @@ from ..model.dynamics import Dynamics
 from ..model.jump_markov import JumpMarkovModel
 from .again import Outcome, or_as_cloud
 from .jumping import UNLIKELY, Way, carried_with_jumps, suits
-from .ladder import LATTICE, as_asked
+from .ladder import as_asked
 from .mixing_modes import summed
 from .pieces import carried_exactly
 from .predict import predict
@@ -113,7 +114,7 @@ def _points(modes: ModeDensities, model: JumpMarkovModel, config: FilterConfig, 
     needs = [density.needs for _, _, density in modes.some if density.needs is not None]
     if config.scheme != "auto" or n_particles != "auto" or len(needs) < len(modes.some):
         return 0
-    sums = needs[0].smooth and model.dim <= LATTICE
+    sums = needs[0].smooth and model.dim <= ON_LATTICE
     as_points = not sums and (suits(model) or goes_as_points(modes))
     return points_of_modes(modes, config.target_error) if as_points else 0
 

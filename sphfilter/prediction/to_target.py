@@ -10,8 +10,8 @@ from ..density.memory import AIMED, error_budget, min_nodes
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError, StoppedError
 from ..info import Code, PredictInfo
+from ..lattice.resolved import MOST
 from ._shared import Predicted
-from .again import MOST
 
 
 def _always(n_particles: int) -> bool:

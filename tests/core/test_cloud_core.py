@@ -7,7 +7,7 @@ from scipy import stats
 import sphfilter as sf
 from sphfilter.core.cloud.blocks import blocks_of, steered
 from sphfilter.core.cloud.curve import along_curve, places
-from sphfilter.core.cloud.guide import look_ahead
+from sphfilter.core.cloud.guide import Ahead, look_ahead
 from sphfilter.core.cloud.linearise import linearise, lower_and_rows, widths
 from sphfilter.core.cloud.move import move
 from sphfilter.core.cloud.noise import ADDITIVE, LANES, even_normals, fill_noise, rotation
@@ -170,8 +170,8 @@ def test_the_guide_is_exact_where_everything_is_linear():
     m, w, u = rng.standard_normal((1, N)), np.full(N, 1.0 / N), rng.standard_normal((1, N))
     HL, R, z = np.array([[[0.8]]]), np.array([[[0.3]]]), 1.4
     block = np.zeros(N, np.int64)
-    seen = z - m, m, np.array([[[0.8]]]), HL, R
-    ancestor, new, log_ratio = look_ahead(seen, u, w, block, net(N, 1).T, 7)
+    ahead = Ahead(z - m, m, np.array([[[0.8]]]), HL, R)
+    ancestor, new, log_ratio = look_ahead(ahead, u, w, block, net(N, 1).T, 7)
     log_l = stats.norm.logpdf(z - m[:, ancestor] - 0.8 * new, scale=np.sqrt(0.3))[0]
     log_w = log_l - log_ratio[N:]
     exact = np.log(np.mean(stats.norm.pdf(z, m, np.sqrt(0.64 + 0.3))))

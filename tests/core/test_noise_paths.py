@@ -9,9 +9,10 @@ from scipy.stats import multivariate_normal
 import sphfilter as sf
 from sphfilter.core._addresses import NOWHERE_AT, address_of, function_at
 from sphfilter.core._jit import jit, start_threads
+from sphfilter.core.characteristics import noise_paths
 from sphfilter.core.characteristics.aim import aimed
 from sphfilter.core.characteristics.expectation import EXPECTED, Step, back, back_in_blocks
-from sphfilter.core.characteristics.noise_paths import ALONG, Noise, Pull, along, noise_factor_at, unblurred
+from sphfilter.core.characteristics.noise_paths import ALONG, Begin, Noise, Pull, Span, along
 from sphfilter.core.field.fitting import build_field
 from sphfilter.core.field.stencils import stencils
 from sphfilter.prediction.log_density import paths
@@ -32,8 +33,9 @@ def _ends(addresses, noise, x, t, h, parts, straight, bend):
     divergence(x, t, noise.p, d)
     end, action, alone = np.empty_like(x), np.empty(x.shape[0]), np.empty_like(x)
     pull = Pull(straight, bend, straight[:0])
-    along(drift, divergence, noise, x, f, d, t, h, parts, pull, end, action)
-    along(drift, drift, noise, x, f, d, t, h, parts, pull, alone, action[:0])
+    begin, span = Begin(x, f, d), Span(t, h, parts)
+    along(drift, divergence, noise, begin, span, pull, end, action)
+    along(drift, drift, noise, begin, span, pull, alone, action[:0])
     return end, action, alone
 
 
@@ -41,12 +43,12 @@ def _ends(addresses, noise, x, t, h, parts, straight, bend):
 def _blurred(addresses, noise, x, h, parts, blur):
     """Ends of paths, and integrals of the divergence, that average over a bridge and have no other noise."""
     drift, divergence = function_at(addresses[0]), function_at(addresses[1])
-    f, d, still = np.empty_like(x), np.empty((x.shape[0], 1)), unblurred(*x.shape)
+    f, d, still = np.empty_like(x), np.empty((x.shape[0], 1)), noise_paths.unblurred(*x.shape)
     pull = Pull(still.straight, still.bend, blur)
     drift(x, 0.0, noise.p, f)
     divergence(x, 0.0, noise.p, d)
     end, action = np.empty_like(x), np.empty(x.shape[0])
-    along(drift, divergence, noise, x, f, d, 0.0, h, parts, pull, end, action)
+    along(drift, divergence, noise, Begin(x, f, d), Span(0.0, h, parts), pull, end, action)
     return end, action
 
 
@@ -67,7 +69,7 @@ def _back(addresses, noise, field, sten, rule, times, parts, Y, floor, threads):
 
 @jit
 def _factor(addresses, x, t, noise):
-    noise_factor_at(function_at(addresses[0]), x, t, noise)
+    noise_paths.noise_factor_at(function_at(addresses[0]), x, t, noise)
 
 
 def noise_of(model, G):

@@ -8,7 +8,6 @@ import pytest
 import sphfilter as sf
 from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import draw_case
-from sphfilter.filter import glide
 from sphfilter.filter.glide import Glide
 
 
@@ -47,11 +46,11 @@ def step_by_step(flt, times, z):
 @pytest.mark.parametrize(
     ("scene", "target", "least"),
     [
-        ("van_der_pol", 0.03, 6),
+        ("van_der_pol", 0.03, 5),
         ("duffing_square", 0.03, 1),
         ("fitzhugh_nagumo", 0.03, 3),
         ("bearings_only", 0.05, 0),
-        ("sharp_range", 0.1, 3),
+        ("sharp_range", 0.1, 2),
     ],
 )
 def test_a_record_has_the_bits_of_its_steps(monkeypatch, scene, target, least):
@@ -70,8 +69,8 @@ def test_a_record_has_the_bits_of_its_steps(monkeypatch, scene, target, least):
 def test_sharp_readings_go_through_compiled_code(monkeypatch, scene):
     made, times, z = record(scene, 0.1, 12)
     made().run(times, z)  # the first that is led piece by piece compiles what leads it
-    own, alone = glide._Run._in_turn, []
-    monkeypatch.setattr(glide._Run, "_in_turn", lambda self, *given: alone.append(1) or own(self, *given))
+    own, alone = sf.SPHFilter.update, []
+    monkeypatch.setattr(sf.SPHFilter, "update", lambda self, *given: alone.append(1) or own(self, *given))
     flt = made()
     result = flt.run(times, z)
     assert len(alone) < 4 and flt._pending is not None
@@ -108,9 +107,10 @@ def test_a_record_of_usual_readings_never_comes_up(monkeypatch, scene):
     """From the Gaussian that it begins with, too."""
     made, times, z = record(scene, 0.1, 8)
     at_once, one_by_one, alone = made(), made(), []
-    monkeypatch.setattr(glide._Run, "_in_turn", lambda self, *given: alone.append(1))
+    monkeypatch.setattr(sf.SPHFilter, "update", lambda self, *given: alone.append(1))
     found = at_once.run(times, z)
     assert not alone
+    monkeypatch.undo()
     expected = step_by_step(one_by_one, times, z)
     np.testing.assert_array_equal(found.x, expected["x"])
     np.testing.assert_array_equal(found.P, expected["P"])
@@ -167,7 +167,7 @@ def test_a_drift_that_raises_surfaces_as_itself_from_the_middle_of_a_record():
 
 
 def test_a_ctrl_c_is_one_wherever_it_comes(monkeypatch):
-    made, times, z = record("van_der_pol", 0.03, 6)
+    made, times, z = record("van_der_pol", 0.03, 5)
 
     def interrupted(self, *given):
         raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
@@ -207,7 +207,7 @@ def test_a_filter_with_steps_of_its_own_takes_them():
 
 
 def test_a_sensor_that_reads_in_its_own_way_is_read_so():
-    made, times, z = record("van_der_pol", 0.03, 6)
+    made, times, z = record("van_der_pol", 0.03, 5)
     plain = made()
 
     class Off(sf.GaussianMeasurement):

@@ -7,7 +7,7 @@ from scipy.stats import norm
 
 import sphfilter as sf
 from sphfilter.core.cloud.control import least_error
-from sphfilter.core.cloud.guide import look_ahead
+from sphfilter.core.cloud.guide import Ahead, look_ahead
 from sphfilter.core.cloud.lineages import LINES, carriers, of_variances
 from sphfilter.core.cloud.pace import Steps
 from sphfilter.core.cloud.weights import for_moments
@@ -36,14 +36,13 @@ def run(model, sensor, start, readings, dt, key=0):
     for i, z in enumerate(readings):
         points = moved_points(points, model, t, t + dt, Steps(10), N, 100 * key + i)
         t += dt
-        found = weighed(points, Stacked.of((asked(sensor, z, t),), None), 100 * key + i + 50)
-        points = found.points
+        found, points = weighed(points, Stacked.of((asked(sensor, z, t),), None), 100 * key + i + 50)
     return found
 
 
 def off(found, mean, cov, log_evidence):
     """Errors: of the mean in standard deviations, relative of the covariance, of the log-evidence."""
-    m, P = moments(found.points.x, found.points.w)
+    m, P = moments(found.x, found.w)
     L = np.linalg.cholesky(cov)
     E = np.linalg.solve(L, np.linalg.solve(L, P - cov).T)
     e = np.linalg.norm(np.linalg.solve(L, m - mean)), np.linalg.norm(E)
@@ -146,7 +145,7 @@ def test_a_mode_of_next_to_no_weight_keeps_its_points():
             t = i * dt
             points = moved_points(points, model, t, t + dt, Steps(1), N, 100 * key + i)
             seen = Stacked.of((asked(sensor, [1.0], t + dt),), None)
-            points = weighed(points, seen, 100 * key + i + 50).points
+            _, points = weighed(points, seen, 100 * key + i + 50)
         off.append(
             (moments(points.x, points.w)[1][0, 0] / exact - 1.0, points.w @ (points.x[:, 0] < 0.0) / far)
         )
@@ -179,15 +178,14 @@ def test_a_likelihood_beside_a_sensor_that_guides(order):
     )
     readings = [asked(square, [0.1], 0.6), asked(edge, [0.0], 0.6)][::order]
     for k, reading in enumerate(readings):
-        found = weighed(points, Stacked.of((reading,), None), 50 + k)
-        points = found.points
+        found, points = weighed(points, Stacked.of((reading,), None), 50 + k)
     F, _, Q = linear_transition(SWING, 0.6)
     sd = np.sqrt((F @ np.diag([2.0, 2.0]) @ F.T + Q)[0, 0])
     x = np.linspace(1e-6, 2.0, 20_001)
     p = norm.pdf(x, scale=sd) * norm.pdf(0.1, x**2, np.sqrt(0.005))
     mean = np.sum(x * p) / np.sum(p)
     assert found.effective > N / 4  # by the edge alone .05 N
-    assert found.points.x[:, 0] @ found.points.w == pytest.approx(mean, abs=0.003)
+    assert found.x[:, 0] @ found.w == pytest.approx(mean, abs=0.003)
 
 
 def test_sensors_of_which_one_is_a_likelihood_are_guided_as_their_parts():
@@ -197,8 +195,8 @@ def test_sensors_of_which_one_is_a_likelihood_are_guided_as_their_parts():
         points_of_gaussian(np.zeros(2), np.diag([2.0, 2.0]), N, 0), SWING, 0.0, 0.6, Steps(10), N, 1
     )
     both = asked(sf.Sensors({"square": square, "weak": weak}), np.array([0.1, 0.3]), 0.6)
-    one = weighed(points, Stacked.of((both,), None), 50)
-    other = weighed(points, Stacked.of((asked(square, [0.1], 0.6), asked(weak, [0.3], 0.6)), None), 50)
+    one, _ = weighed(points, Stacked.of((both,), None), 50)
+    other, _ = weighed(points, Stacked.of((asked(square, [0.1], 0.6), asked(weak, [0.3], 0.6)), None), 50)
     assert one.log_evidence == other.log_evidence
     assert one.effective == other.effective
 
@@ -225,7 +223,7 @@ def test_a_likelihood_with_two_narrow_peaks(s):
     F, _, Q = linear_transition(ORNSTEIN_UHLENBECK, 1.0)
     law = norm(0.5 * F[0, 0], np.sqrt(0.5 * F[0, 0] ** 2 + Q[0, 0]))
     right = law.pdf(1.0) / (law.pdf(1.0) + law.pdf(-1.0))  # but for terms of s²
-    x, w = found.points.x[:, 0], found.points.w
+    x, w = found.x[:, 0], found.w
     assert found.effective > 50.0
     assert abs(w[x > 0.0].sum() - right) < 3.0 * np.sqrt(right * (1.0 - right) / found.lineages)
     assert abs(found.log_evidence - np.log(law.pdf(1.0) + law.pdf(-1.0))) < 3.0 / np.sqrt(found.lineages)
@@ -246,11 +244,11 @@ def test_a_sharp_likelihood_after_noise_that_depends_on_the_state():
 def test_nothing_can_have_been_read():
     sensor = sf.LikelihoodMeasurement(lambda z, X, t: np.full(len(X), -np.inf))
     points = moved_points(points_of_gaussian(*START, 128, 0), DUFFING, 0.0, 1.0, Steps(4), 128, 0)
-    found = weighed(points, Stacked.of((asked(sensor, [0.0], 1.0),), None), 1)
+    found, after = weighed(points, Stacked.of((asked(sensor, [0.0], 1.0),), None), 1)
     assert found.log_evidence == -np.inf
     assert found.effective == found.lineages == 0.0
-    assert np.array_equal(found.points.x, points.x)
-    assert np.array_equal(found.points.w, points.w)
+    assert np.array_equal(after.x, points.x)
+    assert np.array_equal(after.w, points.w)
 
 
 def test_points_that_are_no_numbers_weigh_nothing():
@@ -258,8 +256,8 @@ def test_points_that_are_no_numbers_weigh_nothing():
     x = points.x.copy()
     x[::7] = np.nan, np.inf
     sensor = sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]])
-    found = weighed(points._replace(x=x), Stacked.of((asked(sensor, [-4.0], 1.0),), None), 1)
-    assert np.isfinite(found.points.x).all()
+    found, after = weighed(points._replace(x=x), Stacked.of((asked(sensor, [-4.0], 1.0),), None), 1)
+    assert np.isfinite(after.x).all()
     assert np.isfinite(found.log_evidence)
 
 
@@ -269,7 +267,7 @@ def test_a_point_without_a_guide_keeps_its_weight():
     r = np.zeros((1, N))
     r[0, 5] = np.nan
     zero, z = np.zeros(N, np.int64), np.zeros((1, N))
-    about = (r, z, one, one, one), np.zeros((1, N)), np.full(N, 1.0 / N)
+    about = Ahead(r, z, one, one, one), np.zeros((1, N)), np.full(N, 1.0 / N)
     ancestor, _, log_ratio = look_ahead(*about, zero, z, 7)
     assert 5 not in ancestor
     assert log_ratio[5] == -np.inf
@@ -281,8 +279,8 @@ def test_a_key_gives_the_same_bits(sharp):
     only = sf.LikelihoodMeasurement(lambda z, X, t: -0.5 * ((X[:, 0] - z[0]) / 1e-3) ** 2)
     sensor = only if sharp else sf.GaussianMeasurement([[1.0, 0.0]], [[2e-5]])
     a, b = (run(DUFFING, sensor, START, [[-2.0]], 2.0, 7) for _ in range(2))
-    assert np.array_equal(a.points.x, b.points.x)
-    assert np.array_equal(a.points.w, b.points.w)
+    assert np.array_equal(a.x, b.x)
+    assert np.array_equal(a.w, b.w)
     assert a.log_evidence == b.log_evidence
 
 
@@ -330,7 +328,7 @@ def test_variances_that_tails_carry_are_kept_under_a_sharp_peak(key):
     p = v * norm.pdf(v, scale=np.sqrt((F @ cov @ F.T + Q)[1, 1])) / (1.0 + (v / scale) ** 2)
     found = run(SWING, sensor, (np.zeros(2), cov), [[0.0]], 1.0, key)
     unsure = np.sqrt(2.0 / found.of_variance)
-    assert found.moments[1][1, 1] == pytest.approx(p @ v**2 / p.sum(), rel=4.0 * unsure)
+    assert found.cov[1, 1] == pytest.approx(p @ v**2 / p.sum(), rel=4.0 * unsure)
     assert unsure < 0.15
 
 

@@ -26,16 +26,23 @@ def filtered(n_particles, count):
     return flt
 
 
-def test_the_update_before_is_repeated_on_more_particles(monkeypatch):
-    coarse, fine, t = filtered(100, 3), filtered(800, 3), CASE.times[3]
-    left, predict = coarse.density, sf.predict
+def refused(monkeypatch, coarse):
+    """Refuse to predict a density; returns how many particles those that are predicted have, as they come."""
+    predict, sizes = sf.predict, []
 
     def picky(density, *args, **options):
-        if density is left:
+        sizes.append(density.n_particles)
+        if density is coarse:
             raise UnresolvedError("too coarse")
         return predict(density, *args, **options)
 
     monkeypatch.setattr(sph_filter, "predict", picky)
+    return sizes
+
+
+def test_the_update_before_is_repeated_on_more_particles(monkeypatch):
+    coarse, fine, t = filtered(100, 3), filtered(800, 3), CASE.times[3]
+    refused(monkeypatch, coarse.density)
     info = coarse.predict(t=t)
     fine.predict(t=t)
     assert info.status.startswith("the update before repeated on")
@@ -47,15 +54,7 @@ def test_the_prediction_before_is_repeated_on_more_particles(monkeypatch):
     model = sf.SDE.from_expressions(["x"], ["x - x**3"], noise=[[1.0]], spectral_density=[[0.5]])
     flt = sf.SPHFilter(model, None, [0.1], [[0.2]], n_particles=50)
     flt.predict(0.5)
-    coarse, predict, sizes = flt.density, sf.predict, []
-
-    def picky(density, *args, **options):
-        sizes.append(density.n_particles)
-        if density is coarse:
-            raise UnresolvedError("too coarse")
-        return predict(density, *args, **options)
-
-    monkeypatch.setattr(sph_filter, "predict", picky)
+    sizes = refused(monkeypatch, flt.density)
     info = flt.predict(0.5)
     assert info.status == "the prediction before repeated on 3 times the particles"
     assert sizes[0] <= 50 < sizes[1] <= 150 and flt.t == 1.0

@@ -27,6 +27,14 @@ def distance(x, P, exact_x, exact_P):
     return mean.max(), cov.max()
 
 
+def check_as_exact(found, exact, nats=1e-3):
+    """Moments within a thousandth of exact ones, and the log-evidence within so much."""
+    x, P, log_evidence = exact
+    mean, cov = distance(found.x, found.P, x, P)
+    assert mean < 1e-3 and cov < 1e-3
+    assert np.abs(found.log_evidence - log_evidence).max() < nats
+
+
 def simulated(model, sensor, x0, times, seed):
     """Measurements at the times, the fourth of them missing."""
     _, z = sf.simulate(model, sensor, x0=x0, times=np.r_[0.0, times], rng=seed)
@@ -39,10 +47,7 @@ def test_linear_as_rauch_tung_and_striebel():
     times = np.arange(1.0, 13.0)
     z = simulated(LINEAR, POSITION, START[0], times, 2)
     found = sf.smooth(sf.SPHFilter(LINEAR, POSITION, *START, n_particles=200), times, z)
-    x, P, log_evidence = smooth_linear(LINEAR, POSITION, START, times, z)
-    mean, cov = distance(found.x, found.P, x, P)
-    assert mean < 1e-3 and cov < 1e-3
-    assert np.abs(found.log_evidence - log_evidence).max() < 1e-3
+    check_as_exact(found, smooth_linear(LINEAR, POSITION, START, times, z))
 
 
 def test_times_of_a_clock():
@@ -61,12 +66,8 @@ def test_several_sensors_at_irregular_and_repeated_times():
     for config in (sf.FilterConfig(), sf.FilterConfig(exact_linear=True)):
         flt = sf.SPHFilter(LINEAR, POSITION, *START, n_particles=200, config=config)
         found = sf.smooth(flt, times, z, sensors=sensors)
-        x, P, log_evidence = smooth_linear(
-            LINEAR, POSITION, START, times, z, [s or POSITION for s in sensors]
-        )
-        mean, cov = distance(found.x, found.P, x, P)
-        assert mean < 1e-3 and cov < 1e-3
-        assert np.abs(found.log_evidence - log_evidence).max() < 1e-3
+        own = [s or POSITION for s in sensors]
+        check_as_exact(found, smooth_linear(LINEAR, POSITION, START, times, z, own))
         assert found.densities[1] is found.densities[2]
         assert flt.t == 0.0 and flt.log_evidence == 0.0
 
@@ -98,10 +99,7 @@ def test_the_grid_smoother_is_exact_where_there_is_an_exact_one():
     times = np.array([0.5, 1.2, 2.0])
     z = [[0.5], None, [-0.3]]
     found = smooth_on_grid(LINEAR, POSITION, START, times, z, size=96, nodes=96, step=0.05)
-    x, P, log_evidence = smooth_linear(LINEAR, POSITION, START, times, z)
-    mean, cov = distance(found.x, found.P, x, P)
-    assert mean < 1e-3 and cov < 1e-3
-    assert np.abs(found.log_evidence - log_evidence).max() < 2e-3
+    check_as_exact(found, smooth_linear(LINEAR, POSITION, START, times, z), 2e-3)
 
 
 def test_a_double_well_as_on_a_grid():

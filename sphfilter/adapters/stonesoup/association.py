@@ -12,6 +12,8 @@ from stonesoup.types.state import State
 
 from ..._types import Bools, Floats
 from ...config import FilterConfig, LogDensityScheme
+from ...core.limits import LITTLE
+from ...density.initialize import NEGLIGIBLE
 from ...density.particle_density import ParticleDensity
 from ...density.resample import logarithm, max_particles_of
 from ...errors import ModelError, PropagationError
@@ -26,10 +28,6 @@ from .states import DensityState
 _LADDER = Ladder(times=(1, 3, 9), deeper=0.7, most=math.inf)  # for products of density and likelihood
 #: Standard deviations that a mean may be off, and part of the mass, and is not tried again: a filter's aim.
 _RESOLVED = FilterConfig.target_error
-_LOST = 0.1  # the same, refused above: such an error adds 0.1² = 1 % to the variance
-#: Probability of a part that is left out: it moves a mean by less than `_RESOLVED`, unless it lies further
-#: than `_RESOLVED` / 1e-6 = 10,000 standard deviations away.
-_NEGLIGIBLE = 1e-6
 #: Times the nodes of the finest lattice that is tried, beyond which none is: a bound of work, 3 · 9 = 27
 #: times the particles. Some of what lies beyond could be held, as tried with no bound: two wells on 60
 #: particles up to 21, their mean within .02 standard deviations.
@@ -90,7 +88,7 @@ class Association(_Likelihood):
         for sensor, z, scale in self._parts:
             posterior, info = update(prior, sensor, z, config, n_particles=n_particles)
             found.append((np.exp(scale + info.log_evidence), posterior))
-        return [(weight, density) for weight, density in found if weight > _NEGLIGIBLE]
+        return [(weight, density) for weight, density in found if weight > NEGLIGIBLE]
 
 
 class Total(_Likelihood):
@@ -133,7 +131,7 @@ def check_sharpness(weights: Sequence[float], covs: Sequence[Floats], n_particle
     Gaussian as their volumes differ.
     """
     parts = zip(weights, covs, strict=True)
-    log_volume = [0.5 * np.linalg.slogdet(cov)[1] for weight, cov in parts if weight > _NEGLIGIBLE]
+    log_volume = [0.5 * np.linalg.slogdet(cov)[1] for weight, cov in parts if weight > NEGLIGIBLE]
     ratio = math.exp(max(log_volume) - min(log_volume))
     if ratio * enough_particles(len(covs[0])) > _HOPELESS * max(_LADDER.times) * n_particles:
         raise PropagationError(
@@ -169,7 +167,7 @@ def resolved(
     if best is None:
         raise refused
     error, times, found = best
-    if error > _LOST:
+    if error > LITTLE:
         raise PropagationError(
             f"detections much sharper than the prediction leave a density too sharp and too broad for one "
             f"lattice: its mean would be {error:.2g} standard deviations off; use more particles"

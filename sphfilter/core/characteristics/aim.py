@@ -16,7 +16,7 @@ from .._jit import BATCH_FUNCTION, VECTOR, jit
 from ..field.field import FIELD
 from ..limits import EDGE
 from ..small_matrices import cholesky, invert_lower
-from .noise_paths import NOISE, along_at, displace, pushes, unblurred
+from .noise_paths import NOISE, Begin, Span, along_at, displace, pushes, unblurred
 
 
 class Aim(NamedTuple):
@@ -54,7 +54,7 @@ def leg_ends(drift, noise, Y, t1, h, parts, legs, w):
                 own[k] = w[i, first + k]
             displace(push, own, pull, i)
         drift(start, t, noise.p, f)
-        along(drift, drift, noise, start, f, f, t, -h / legs, parts, pull, end, unasked)
+        along(drift, drift, noise, Begin(start, f, f), Span(t, -h / legs, parts), pull, end, unasked)
         for i in range(M):
             for a in range(n):
                 start[i, a] = end[i, a]

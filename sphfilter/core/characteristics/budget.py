@@ -11,16 +11,17 @@ ORDER = 5.0  # of a lattice's residual in its spacing: polynomials of degree 4 l
 
 
 @jit
-def for_step(control, state, h, left, span):
+def for_step(run, h, left, span):
     """Error that a step of length h may have, of those of which the time left is made up."""
-    return h * max((control.steps - state[STEP_ERRORS]) / left, _OVERDRAWN * control.steps / span)
+    steps = run.control.steps
+    return h * max((steps - run.state[STEP_ERRORS]) / left, _OVERDRAWN * steps / span)
 
 
 @jit
-def for_lattice(control, state, h, left, span):
+def for_lattice(run, h, left, span):
     """Residual that the lattice after a step of length h may have; those of lattices add up by squares."""
-    squares = control.lattices**2
-    return math.sqrt(h * max((squares - state[SQUARES]) / left, _OVERDRAWN * squares / span))
+    squares = run.control.lattices**2
+    return math.sqrt(h * max((squares - run.state[SQUARES]) / left, _OVERDRAWN * squares / span))
 
 
 @jit

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import numpy as np
 from numba import typeof, types
 
 STATUS = ("ok", "not finite", "paused", "stalled", "too few nodes", "outgrown", "lost")
@@ -36,6 +37,14 @@ class Control(NamedTuple):
     most_work: float  # evaluations of the drift, after which it pauses, too
 
 
-#: Numba's types of a `Control`, of the counters, and of the state.
+class Run(NamedTuple):
+    """A march on its way: what it aims at, and what it remembers and counts, kept up to date."""
+
+    control: Control
+    state: np.ndarray  # as the names above say
+    counters: np.ndarray  # by `COUNTERS`
+
+
+#: Numba's types of a `Control` and of a `Run`.
 CONTROL = typeof(Control(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0, 0.0))
-COUNTS, STATE = types.int64[::1], types.float64[::1]
+RUN = types.NamedTuple([CONTROL, types.float64[::1], types.int64[::1]], Run)

@@ -17,7 +17,21 @@ from ..field.cells import LOWEST
 from ..field.field import FIELD, Field, evaluate, slopes
 from ..field.stencils import STENCILS, Stencils
 from .aim import AIM, Aim, centred, leg_ends, response, rooted
-from .noise_paths import NOISE, PATHS, Noise, Paths, Pull, along_at, blurring, displace, pushes, unblurred
+from .noise_paths import (
+    BEGIN,
+    NOISE,
+    PATHS,
+    Begin,
+    Noise,
+    Paths,
+    Pull,
+    Span,
+    along_at,
+    blurring,
+    displace,
+    pushes,
+    unblurred,
+)
 from .reflection import reflected
 
 _SURE = 1.0  # nats below the last level kept, from which one path will do: exp(-1) = .37 of what is cut off
@@ -59,16 +73,16 @@ def back(step, Y, floor, out):
     push, end, action = pushes(noise, h), np.empty((M, n)), np.zeros(M)
     pull = unblurred(M, push.shape[1])
     owner, slope, centre = np.empty(M, np.int64), np.empty((M, n)), np.zeros((M, K))
-    along = along_at(noise.along)
+    along, begin, span = along_at(noise.along), Begin(Y, f1, d1), Span(t1, -h, step.parts)
     step.drift(Y, t1, noise.p, f1)
     step.divergence(Y, t1, noise.p, d1)
     if K > 0:
-        along(step.drift, step.drift, noise, Y, f1, d1, t1, -h, step.parts, pull, end, np.empty(0))
+        along(step.drift, step.drift, noise, begin, span, pull, end, np.empty(0))
         slopes(step.field, step.sten, end, owner, slope)
         centre = centred(aim, owner, slope)
         for i in range(M):
             displace(push, centre[i], pull, i)
-    along(step.drift, step.divergence, noise, Y, f1, d1, t1, -h, step.parts, pull, end, action)
+    along(step.drift, step.divergence, noise, begin, span, pull, end, action)
     evaluate(step.field, step.sten, end, out)
     if noise.low.size > 0:
         reflected_at(step.reflected)(step, t1 - h, end, out)
@@ -85,10 +99,8 @@ def back(step, Y, floor, out):
     high = _above(out, floor - _SURE)
     for i in range(high.size):
         owner[i] = owner[high[i]]
-    log_p = np.empty(high.size)
-    expected_at(step.expected)(
-        step, aim, _rows(Y, high), _rows(f1, high), _rows(d1, high), _rows(centre, high), owner, log_p
-    )
+    log_p, begin = np.empty(high.size), Begin(_rows(Y, high), _rows(f1, high), _rows(d1, high))
+    expected_at(step.expected)(step, aim, begin, _rows(centre, high), owner, log_p)
     for i in range(high.size):
         out[high[i]] = log_p[i]
     return high.size
@@ -116,7 +128,7 @@ def back_in_halves(step, around, Y, out):
     aim = rooted(B, tail)
     step.drift(Y, step.t1, step.noise.p, f1)
     step.divergence(Y, step.t1, step.noise.p, d1)
-    expected_at(step.expected)(step, aim, Y, f1, d1, centred(aim, owner, slope), owner, out)
+    expected_at(step.expected)(step, aim, Begin(Y, f1, d1), centred(aim, owner, slope), owner, out)
 
 
 @jit
@@ -147,16 +159,17 @@ def _rows(values, which):
 
 
 @jit
-def expected(step, aim, Y, f1, d1, centre, owner, out):
-    """Logarithm of the expectation over the paths back from states Y (M, n), in the legs that an aim is for.
+def expected(step, aim, begin, centre, owner, out):
+    """Logarithm of the expectation over the paths back from a `Begin`, in the legs that an aim is for.
 
     All paths of some states go at once: calls of the model's functions are few, and long.
     """
     each = step.paths.log_weight.size ** (aim.B.shape[1] // max(step.paths.w.shape[1], 1))
     size = max(1, _ROWS // each)
-    for first in range(0, Y.shape[0], size):
-        some = slice(first, min(first + size, Y.shape[0]))
-        value = _brought_by_legs(step, aim, Y[some], f1[some], d1[some], centre[some], owner[some])
+    for first in range(0, len(begin.x), size):
+        some = slice(first, min(first + size, len(begin.x)))
+        part = Begin(begin.x[some], begin.f[some], begin.d[some])
+        value = _brought_by_legs(step, aim, part, centre[some], owner[some])
         M = value.size // each
         highest, total = np.full(M, -np.inf), np.zeros(M)
         for c in range(each):
@@ -170,19 +183,18 @@ def expected(step, aim, Y, f1, d1, centre, owner, out):
 
 
 @jit
-def _brought_by_legs(step, aim, Y, f1, d1, centre, owner):
-    """What each path back from states Y (M, n) brings, logarithms: of all states by one path, then the next.
+def _brought_by_legs(step, aim, begin, centre, owner):
+    """What each path back from M states brings, logarithms: of all states by one path, then the next.
 
     Of two legs, the first one's noise stands last in the aim: it does not hang on what the second one draws.
     """
-    paths, K, (M, n) = step.paths, step.paths.w.shape[1], Y.shape
+    paths, K, (M, n) = step.paths, step.paths.w.shape[1], begin.x.shape
     legs = aim.B.shape[1] // max(K, 1)
     h, parts = step.h / legs, (step.parts + legs - 1) // legs
     push = pushes(step.noise, h)
-    drawn, start, value = np.empty((1, 0)), Y, np.empty(M)
+    drawn, value, (start, f, d) = np.empty((1, 0)), np.empty(M), begin
     for i in range(M):
         value[i] = aim.log_det[owner[i]]
-    f, d = f1, d1
     for leg in range(legs):
         t, low = step.t1 - leg * h, (legs - 1 - leg) * K
         if leg > 0:
@@ -196,10 +208,10 @@ def _brought_by_legs(step, aim, Y, f1, d1, centre, owner):
         pull = unblurred(R, push.shape[1])
         if step.blurred and paths.w[:, K // 2 :].any():  # without bends there is more left than a bridge
             pull = Pull(pull.straight, pull.bend, np.empty((R, push.shape[1])))
-        _displaced(step.noise, aim, paths, centre, owner, drawn, low, push, pull, value)
-        end, action = np.empty((R, n)), np.empty(R)
+        _displaced(step, aim, (centre, owner), drawn, low, push, pull, value)
+        end, action, own = np.empty((R, n)), np.empty(R), Begin(start, f, d)
         along_at(step.noise.along)(
-            step.drift, step.divergence, step.noise, start, f, d, t, -h, parts, pull, end, action
+            step.drift, step.divergence, step.noise, own, Span(t, -h, parts), pull, end, action
         )
         for r in range(R):
             value[r] += action[r]
@@ -237,11 +249,13 @@ def _drawn(paths, before):
 
 
 @jit
-def _displaced(noise, aim, paths, centre, owner, drawn, low, push, pull, value):
+def _displaced(step, aim, centres, drawn, low, push, pull, value):
     """Displace a leg's paths by noises of an aim from number `low` on; add what drawing them there weighs.
 
+    centres: (M, K), (M,), middles of the noises of each state, and whose spread they have.
     drawn: (C, J), standard noises of each way, those of this leg first.
     """
+    noise, paths, (centre, owner) = step.noise, step.paths, centres
     (Q, K), M = paths.w.shape, owner.size
     w, side = np.empty(K), np.empty(pull.blur.shape[1])
     for c in range(drawn.shape[0]):
@@ -292,7 +306,7 @@ STEP = types.NamedTuple(
     [BATCH_FUNCTION, BATCH_FUNCTION, NOISE, FIELD, STENCILS, PATHS, AIM, *_NUMBERS, ADDRESS, ADDRESS], Step
 )
 #: What is entered by address in a step: loops of paths, and walls where there are any.
-EXPECTED = Entry(expected, (STEP, AIM, MATRIX, MATRIX, MATRIX, MATRIX, types.int64[::1], VECTOR), types.void)
+EXPECTED = Entry(expected, (STEP, AIM, BEGIN, MATRIX, types.int64[::1], VECTOR), types.void)
 REFLECTED = Entry(reflected, (STEP, types.float64, MATRIX, VECTOR), types.void)
 expected_at, reflected_at = EXPECTED.at, REFLECTED.at
 #: `back` and `back_in_blocks` by their addresses.

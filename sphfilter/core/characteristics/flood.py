@@ -24,7 +24,7 @@ from ..field.cells import (
 from ..field.nodes import MOST_ASKED, relaid
 from ..field.walls import beyond
 from ..small_matrices import invert_lower
-from .control import CONTROL, COUNTS, EVALUATIONS, NODES, OK, OUTGROWN, RELAID, STATE, TOO_FEW, VOLUME
+from .control import EVALUATIONS, NODES, OK, OUTGROWN, RELAID, RUN, TOO_FEW, VOLUME
 from .expectation import BACK, STEP
 
 _TRIES = 6
@@ -50,13 +50,14 @@ class Lattice(NamedTuple):
 
 
 @jit
-def lattice_after(back, step, mean, shape, seeds, control, state, counters):
+def lattice_after(back, step, mean, shape, seeds, run):
     """Lay the density after a step on a lattice of at most as many nodes as allowed, and at least half.
 
     back: the function of that name, or `back_in_blocks`.
     mean, shape: (n,), (n, n), origin and lower factor of a covariance: the coordinates that are whitened.
     seeds: (S, n), states of which some lie in every piece of the region.
     """
+    control, state, counters = run
     n, most = mean.size, math.ceil(state[NODES])
     limit = most if control.steps == 0.0 else math.ceil(_SOFT * most)
     A = np.empty((n, n))
@@ -65,7 +66,7 @@ def lattice_after(back, step, mean, shape, seeds, control, state, counters):
         for a in range(n):
             for b in range(n):
                 A[a, b] = shape[a, b] * spacing
-        box = flooded(back, step, mean, A, seeds, most, control, counters)
+        box = flooded(back, step, mean, A, seeds, most, run)
         if box[0].size == 0:
             return _no_lattice(OUTGROWN, n)
         walls = step.noise.low, step.noise.high
@@ -88,11 +89,11 @@ def _no_lattice(code, n):
 
 
 @jit
-def flooded(back, step, mu, A, points, most, control, counters):
+def flooded(back, step, mu, A, points, most, run):
     """Values on the new lattice wherever they lie above the depth: seeds, then their neighbours,
     until closed. `back` is the function of that name, in blocks or not.
     """
-    n = mu.size
+    n, (control, _, counters) = mu.size, run
     ball = step.sten.offsets[: step.sten.size[0]]
     low, dims = np.empty(n, np.int64), np.empty(n, np.int64)
     cells = seeds_in_box(points, mu, invert_lower(A), furthest(n), low, dims)
@@ -126,4 +127,4 @@ def flooded(back, step, mu, A, points, most, control, counters):
 
 
 #: `lattice_after` by its address.
-LAY = Entry(lattice_after, (BACK, STEP, VECTOR, MATRIX, MATRIX, CONTROL, STATE, COUNTS))
+LAY = Entry(lattice_after, (BACK, STEP, VECTOR, MATRIX, MATRIX, RUN))

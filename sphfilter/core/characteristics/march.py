@@ -110,7 +110,7 @@ def wrong(state):
 
 
 @jit
-def march(entries, noise, field, sten, paths, control, times, state, counters):
+def march(entries, noise, field, sten, paths, times, run):
     """Carry a field from times[0] to times[1].
 
     Parameters
@@ -120,11 +120,9 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
     field : Field
     sten : Stencils
     paths : Paths
-    control : Control
     times : ndarray, shape (2,)
         Seconds; times[0] is kept up to date.
-    state, counters : ndarray
-        As `control` names them; kept up to date.
+    run : Run
 
     Returns
     -------
@@ -137,7 +135,7 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
     choose, aim = choose_at(entries.choose), aim_at(entries.aim)
     lay, build = lay_at(entries.lay), build_at(entries.build)
     judge, between = judge_at(entries.judge), between_at(entries.between)
-    n = field.mu.size
+    n, (control, state, counters) = field.mu.size, run
     mean, P, L, Q = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     x, m = nodes_of(field)
     if noise.low.size > 0:
@@ -154,7 +152,7 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
         if not cholesky(P, L):
             return field, x, m, mean, P, NOT_FINITE
         local_shape(field, m, L, Q)
-        pick = choose(drift, diffusion, noise, x, m, L, Q, times, span, control, state, counters)
+        pick = choose(drift, diffusion, noise, (x, m), (L, Q), times, span, run)
         if pick.code != OK:
             return field, x, m, mean, P, pick.code
         h, parts, t1 = pick.h, pick.parts, times[0] + pick.h
@@ -173,7 +171,7 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
                 continue
         allowed, shorter = max(control.share * state[RESIDUAL], state[FLOOR]), np.inf
         if control.steps > 0.0:
-            aimed = for_step(control, state, h, times[1] - times[0], span)
+            aimed = for_step(run, h, times[1] - times[0], span)
             allowed = max(allowed, min(aimed, control.share * _MOST))
         state[LATTICE_STEP] = next_step(h, error / allowed, 3.0)  # a step gets h³ wrong
         seen = noise.G.shape[1] == 0 or h * noise_limit(noise.G, field.A) > _UNSEEN
@@ -192,7 +190,7 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
             since, usual = 0, h
         coarse = np.inf  # residual of a lattice that is laid again
         while True:
-            new = lay(back, step, pick.mean, pick.shape, pick.ends, control, state, counters)
+            new = lay(back, step, pick.mean, pick.shape, pick.ends, run)
             if new.code != OK:
                 return field, x, m, mean, P, new.code
             laid = build(new.mu, new.A, new.node, new.x.shape[0], new.log_p, sten)
@@ -201,7 +199,7 @@ def march(entries, noise, field, sten, paths, control, times, state, counters):
             refused = control.lattices > 0.0 and _AGAIN * allowed < gone < HELPED * lost
             if control.lattices == 0.0 or refused:
                 break
-            state[VOLUME], aimed = new.volume, for_lattice(control, state, h, times[1] - times[0], span)
+            state[VOLUME], aimed = new.volume, for_lattice(run, h, times[1] - times[0], span)
             count, helped = float(new.x.shape[0]), not residual > HELPED * coarse
             state[NODES] = nodes_for(residual, aimed, count, control, n) if helped else count
             if not helped or residual < _AGAIN * aimed or state[NODES] <= count:

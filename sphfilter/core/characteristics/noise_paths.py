@@ -54,6 +54,22 @@ class Pull(NamedTuple):
     blur: np.ndarray
 
 
+class Begin(NamedTuple):
+    """States that paths begin at, and what the model says there."""
+
+    x: np.ndarray  # (M, n)
+    f: np.ndarray  # (M, n) drift
+    d: np.ndarray  # (M, 1) divergence; anything, where its integral is not asked for
+
+
+class Span(NamedTuple):
+    """Time that paths take, from t to t + h, in Runge-Kutta steps."""
+
+    t: float  # seconds
+    h: float  # seconds, of either sign
+    parts: int
+
+
 @jit
 def unblurred(M, n):
     """No displacements yet; n: as many as `pushes` has columns."""
@@ -61,20 +77,19 @@ def unblurred(M, n):
 
 
 @jit
-def along(drift, divergence, noise, x, f1, d1, t, h, parts, pull, end, action):
-    """Paths from states x (M, n) at time t to t + h, h of either sign, by `parts` Runge-Kutta steps.
+def along(drift, divergence, noise, begin, span, pull, end, action):
+    """Paths from a `Begin` over a `Span`.
 
     Noise displaces them on the way, by u straight + 6 u (1 - u) bend after a part u of the time. Such a path
     leaves a bridge of the noise: drift and divergence are averaged over it, along `blur`. Noise that
     depends on the state has other slopes in the second half of a path, which has twice the parts.
 
-    Drift f1 (M, n) and divergence d1 (M, 1) are those at x; `pull` says how noise displaces each path. The
-    ends (M, n) are written, and the action (M,), the integral of the divergence along each path, unless it
-    is empty. Functions are of signature `BATCH`.
+    `pull` says how noise displaces each path. The ends (M, n) are written, and the action (M,), the integral
+    of the divergence along each path, unless it is empty. Functions are of signature `BATCH`.
     """
-    M, n = x.shape
+    (M, n), (t, h, parts) = begin.x.shape, span
     parts *= 2 if noise.state_dependent else 1
-    y, z, f, step = np.empty((M, n)), x.copy(), f1.copy(), h / parts
+    y, z, f, step = np.empty((M, n)), begin.x.copy(), begin.f.copy(), h / parts
     E = M * n  # one loop over all numbers runs several at a time
     ends, ys, zs, fs = end.reshape(E), y.reshape(E), z.reshape(E), f.reshape(E)
     straights, bends = pull.straight.reshape(pull.straight.size), pull.bend.reshape(pull.bend.size)
@@ -82,7 +97,7 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, pull, end, action):
     other = np.empty((M if blur.size > 0 else 0, n))
     for e in range(E):
         ends[e] = zs[e]
-    d, integrated = d1.copy(), action.size > 0
+    d, integrated = begin.d.copy(), action.size > 0
     action[:] = 0.0
     for stage in range(4 * parts):
         k = stage % 4
@@ -99,7 +114,7 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, pull, end, action):
             if integrated and not noise.constant_divergence:
                 averaged(divergence, y, t + u * h, noise.p, blur, math.sqrt(left), other, d)
         if noise.state_dependent:
-            driven(noise, z if stage == 0 else y, t + u * h, pull, u, stage < 2 * parts, h, columns, f, d)
+            driven(noise, Begin(z if stage == 0 else y, f, d), span, u, stage < 2 * parts, pull, columns)
         c = step / 6.0 if k in (0, 3) else step / 3.0
         ahead, v = (step if k == 2 else 0.5 * step), u + (0.5 / parts if k in (0, 2) else 0.0)
         bent = 6.0 * v * (1.0 - v)
@@ -124,13 +139,14 @@ def along(drift, divergence, noise, x, f1, d1, t, h, parts, pull, end, action):
 
 
 @jit
-def driven(noise, y, t, pull, u, early, h, columns, f, d):
-    """Add the noise after a part u of the time to velocities f (M, n) of states y, and to their divergence d.
+def driven(noise, begin, span, u, early, pull, columns):
+    """Add the noise after a part u of the time to velocities and divergences of states.
 
     early: u is seen from the first half, where both meet.
     """
+    (y, f, d), h = begin, span.h
     n, m = y.shape[1], pull.straight.shape[1]
-    function_at(noise.columns)(y, t, noise.p, columns)
+    function_at(noise.columns)(y, span.t + u * h, noise.p, columns)
     for i in range(y.shape[0]):
         for k in range(m):
             rate = (pull.straight[i, k] + 6.0 * (1.0 - 2.0 * u) * pull.bend[i, k]) / h
@@ -246,16 +262,11 @@ def freeze(x, m, t, noise):
 
 
 _VECTOR, _MATRIX = np.empty(1), np.empty((1, 1))
-#: Numba's types of `Noise` and `Paths`.
+#: Numba's types of `Noise` and `Paths`, and of `Begin`.
 NOISE, PATHS = typeof(Noise(_MATRIX, _VECTOR, False, False)), typeof(Paths(_VECTOR, _MATRIX, _VECTOR))
-#: `along` by its address.
+BEGIN, _SPAN = typeof(Begin(_MATRIX, _MATRIX, _MATRIX)), typeof(Span(0.0, 0.0, 0))
 _PULL = typeof(Pull(_MATRIX, _MATRIX, _MATRIX))
-ALONG = Entry(
-    along,
-    (
-        BATCH_FUNCTION, BATCH_FUNCTION, NOISE, MATRIX, MATRIX, MATRIX, types.float64, types.float64,
-        types.int64, _PULL, MATRIX, VECTOR,
-    ),
-    types.void,
-)  # fmt: skip
+#: `along` by its address.
+_GIVEN = BATCH_FUNCTION, BATCH_FUNCTION, NOISE, BEGIN, _SPAN, _PULL, MATRIX, VECTOR
+ALONG = Entry(along, _GIVEN, types.void)
 along_at = ALONG.at

@@ -13,8 +13,6 @@ from ..limits import LITTLE, ROUNDING, TINY
 from ..small_matrices import cholesky, product
 from ..step_control import next_step
 from .control import (
-    CONTROL,
-    COUNTS,
     EVALUATIONS,
     LATTICE_STEP,
     LONGEST,
@@ -22,11 +20,11 @@ from .control import (
     OK,
     PATH_STEP,
     REJECTED,
+    RUN,
     STALLED,
-    STATE,
 )
-from .noise_paths import NOISE, along_at, freeze, noise_factor_at, pushes, unblurred
-from .step_limits import blur_share, driven_ends, noise_limit, path_error, predicted
+from .noise_paths import NOISE, Begin, Span, freeze, noise_factor_at, pushes, unblurred
+from .step_limits import blur_share, driven_ends, noise_limit, once_and_twice, path_error, predicted
 
 _MOST_PARTS = 16  # Runge-Kutta steps from lattice to lattice: of errors 16⁻⁴ = 1.5e-5 is left
 
@@ -45,19 +43,20 @@ class Choice(NamedTuple):
 
 
 @jit
-def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, counters):
-    """The `Choice` of a step from times[0] towards times[1], of a prediction over a `span`, all in seconds.
+def chosen(drift, diffusion, noise, nodes, shape, times, whole, run):
+    """The `Choice` of a step from times[0] towards times[1], of the `whole` of a prediction, all in seconds.
 
-    Nodes x (N, n) have masses m (N,); L and Q (n, n) are the lower factor of their covariance, and what
-    `local_shape` adds to it. Where noise depends on time, its G is brought up to mid-step; so are the steps
-    that come next, and the counters. Functions are of signature `BATCH`.
+    Nodes are x (N, n) and masses m (N,); their shape L and Q (n, n), the lower factor of their covariance,
+    and what `local_shape` adds to it. Where noise depends on time, its G is brought up to mid-step; so are
+    the steps that come next, and the counters. Functions are of signature `BATCH`.
     """
+    (x, m), (L, Q), (control, state, counters) = nodes, shape, run
     n, t, left = x.shape[1], times[0], times[1] - times[0]
     mean, P, own, S = np.empty(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     once, twice = np.empty(x.shape), np.empty(x.shape)
     f, still = np.empty(x.shape), unblurred(x.shape[0], pushes(noise, 1.0).shape[1])
     drift(x, t, noise.p, f)
-    along, unasked = along_at(noise.along), np.empty(0)
+    begin = Begin(x, f, f)
     if noise.state_dependent:
         freeze(x, m, t, noise)
     while True:
@@ -76,38 +75,32 @@ def chosen(drift, diffusion, noise, x, m, L, Q, times, span, control, state, cou
         if parts > _MOST_PARTS:
             state[LATTICE_STEP] = _MOST_PARTS * state[PATH_STEP]
             continue
-        along(drift, drift, noise, x, f, f, t, h, parts, still, once, unasked)
-        along(drift, drift, noise, x, f, f, t, h, 2 * parts, still, twice, unasked)
+        span = Span(t, h, parts)
+        once_and_twice(drift, noise, begin, span, still, (once, twice))
         counters[EVALUATIONS] += 12 * parts * x.shape[0]
         error = path_error(once, twice, m, S) / control.tolerance
         if noise.state_dependent:
-            ends = driven_ends(drift, noise, x, f, t, h, parts)
+            ends = driven_ends(drift, noise, begin, span)
             error = max(error, path_error(ends[0], ends[1], m, S) / control.tolerance)
             counters[EVALUATIONS] += 12 * parts * x.shape[0]
         state[PATH_STEP] = min(next_step(h / parts, error, 4.0), 1.0 / TINY)
         if error <= 1.0:
             break
         counters[REJECTED] += 1
-        if state[PATH_STEP] < ROUNDING * span:
+        if state[PATH_STEP] < ROUNDING * whole:
             code = NOT_FINITE if error == np.inf else STALLED
             return Choice(code, h, parts, False, False, twice, mean, S)
-    mean, P = predicted(drift, noise, x, f, twice, m, t, h, parts)
+    mean, P = predicted(drift, noise, begin, twice, m, span)
     counters[EVALUATIONS] += (16 * parts + 2) * noise.G.shape[1] * x.shape[0]
     if not cholesky(P, own):
         return Choice(NOT_FINITE, h, parts, False, False, twice, mean, S)
     product(own, Q, 1.0, S)
-    blurred = (
-        noise.state_dependent or not blur_share(drift, noise, x, f, m, t, h, S) < LITTLE * control.tolerance
-    )
+    little = LITTLE * control.tolerance
+    blurred = noise.state_dependent or not blur_share(drift, noise, begin, m, span, S) < little
     fold(noise.low, noise.high, twice)
     return Choice(OK, h, parts, pieces <= 1, blurred, twice, mean, S)
 
 
 #: `chosen` by its address.
-CHOOSE = Entry(
-    chosen,
-    (
-        BATCH_FUNCTION, BATCH_FUNCTION, NOISE, MATRIX, VECTOR, MATRIX, MATRIX, VECTOR, types.float64, CONTROL,
-        STATE, COUNTS,
-    ),
-)  # fmt: skip
+_DENSITY = types.Tuple([MATRIX, VECTOR]), types.UniTuple(MATRIX, 2)
+CHOOSE = Entry(chosen, (BATCH_FUNCTION, BATCH_FUNCTION, NOISE, *_DENSITY, VECTOR, types.float64, RUN))

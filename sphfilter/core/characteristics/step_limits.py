@@ -7,7 +7,7 @@ import numpy as np
 from .._jit import jit
 from ..field.walls import fold
 from ..small_matrices import moments, whiten
-from .noise_paths import along_at, averaged, displace, pushes, unblurred
+from .noise_paths import Span, along_at, averaged, displace, pushes, unblurred
 
 
 @jit
@@ -24,10 +24,11 @@ def noise_limit(G, L):
 
 
 @jit
-def blur_share(drift, noise, x, f, m, t, h, L):
+def blur_share(drift, noise, begin, m, span, L):
     """What averaging the drift over the bridge that a path leaves of the noise does to the path's end: rms
     over the mass, in standard deviations, all noises together.
     """
+    (x, f, _), (t, h, _) = begin, span
     N, n = x.shape
     g, mean, other, v, total = np.empty((N, n)), np.empty((N, n)), np.empty((N, n)), np.empty(n), 0.0
     for k in range(noise.G.shape[1]):
@@ -58,32 +59,37 @@ def path_error(once, twice, m, L):
 
 
 @jit
-def driven_ends(drift, noise, x, f, t, h, parts):
+def driven_ends(drift, noise, begin, span):
     """Ends (N, n) of paths that noise, which depends on the state, drives to one side or the other.
 
     Of so many parts, and of twice as many, for `path_error`.
     """
-    push, w = pushes(noise, h), np.empty(2 * noise.G.shape[1])
-    pull, once, twice = unblurred(x.shape[0], push.shape[1]), np.empty(x.shape), np.empty(x.shape)
-    for i in range(x.shape[0]):
+    shape, push, w = begin.x.shape, pushes(noise, span.h), np.empty(2 * noise.G.shape[1])
+    pull, once, twice = unblurred(shape[0], push.shape[1]), np.empty(shape), np.empty(shape)
+    for i in range(shape[0]):
         for k in range(w.size):
             w[k] = math.sqrt(3.0) if (i >> k) % 2 else -math.sqrt(3.0)
         displace(push, w, pull, i)
-    along, unasked = along_at(noise.along), np.empty(0)
-    along(drift, drift, noise, x, f, f, t, h, parts, pull, once, unasked)
-    along(drift, drift, noise, x, f, f, t, h, 2 * parts, pull, twice, unasked)
+    once_and_twice(drift, noise, begin, span, pull, (once, twice))
     return once, twice
 
 
 @jit
-def predicted(drift, noise, x, f, ahead, m, t, h, parts):
+def once_and_twice(drift, noise, begin, span, pull, ends):
+    """Fill ends (N, n) of paths of so many parts, and of twice as many."""
+    along, unasked = along_at(noise.along), np.empty(0)
+    along(drift, drift, noise, begin, span, pull, ends[0], unasked)
+    along(drift, drift, noise, begin, Span(span.t, span.h, 2 * span.parts), pull, ends[1], unasked)
+
+
+@jit
+def predicted(drift, noise, begin, ahead, m, span):
     """Mean and covariance after a step: of the cloud undisturbed, and pushed to and fro by every noise.
 
     Straight pushes and bent ones: their covariance with each other is what keeps a thin density from being
-    taken for a still thinner one. Nodes x of masses m, where the drift is f, go `ahead` without noise, by so
-    many Runge-Kutta parts of a step of h seconds.
+    taken for a still thinner one. Nodes that begin with masses m go `ahead` without noise.
     """
-    N, n = x.shape
+    N, n = ahead.shape
     mean, cov = np.empty(n), np.empty((n, n))
     n_pushes = 4 * noise.G.shape[1]
     width = max(3.0, 0.5 * n_pushes)
@@ -93,7 +99,7 @@ def predicted(drift, noise, x, f, ahead, m, t, h, parts):
         M[i] = m[i] * (1.0 - n_pushes * share)
         for a in range(n):
             X[i, a] = ahead[i, a]
-    pushed, w = pushes(noise, h), np.zeros(2 * noise.G.shape[1])
+    pushed, w = pushes(noise, span.h), np.zeros(2 * noise.G.shape[1])
     pull, along, unasked = unblurred(N, pushed.shape[1]), along_at(noise.along), np.empty(0)
     for push in range(n_pushes):
         w[push // 2] = (1.0 if push % 2 else -1.0) * math.sqrt(width)
@@ -101,7 +107,7 @@ def predicted(drift, noise, x, f, ahead, m, t, h, parts):
             displace(pushed, w, pull, i)
         w[push // 2] = 0.0
         first = (push + 1) * N
-        along(drift, drift, noise, x, f, f, t, h, parts, pull, X[first : first + N], unasked)
+        along(drift, drift, noise, begin, span, pull, X[first : first + N], unasked)
         for i in range(N):
             M[first + i] = m[i] * share
     fold(noise.low, noise.high, X)

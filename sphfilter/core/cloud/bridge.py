@@ -14,7 +14,7 @@ from .._jit import MATRIX, VECTOR, jit
 from ..limits import TINY
 from .blocks import blocks_of, centres, multiplied
 from .curve import along_curve
-from .guide import look_ahead, over_both
+from .guide import Moved, look_ahead, of_first, over_both
 from .linearise import linearised
 from .move import over
 from .noise import even_normals, mixed, stored
@@ -31,21 +31,21 @@ MISSED = 8.0
 
 
 @jit
-def bridge(way, nets, key, least, curve):
+def bridge(given, nets, key, least, curve):
     """Prior times likelihood by guides over ever shorter rests of the way.
 
-    The way is that of `reading.weigh`; nets are of `MORE` times as many normals; the first guide chooses at
+    Given is the way of `reading.weigh`; nets are of `MORE` times as many normals; the first guide chooses at
     least so many points, or none are led; the curve is a table and its bits. Returns states, logarithms of
     weights and ancestors as `weigh` does, none where no guide can be made, and how many likelihoods are no
     number.
     """
-    reader, leg, linear, _, x, y, w, block, kernel, moved, u, v = way
+    reader, leg, linear, _, x, y, w, block, kernel, moved, u, v = given
     (n, N), count, key, share = x.shape, nets[0].shape[1], np.uint64(key), np.empty(len(w))
     none = np.empty((n, 0)), np.empty(0), np.empty(0, np.int64), 0
     total = normalise(np.log(np.maximum(w, TINY)), share)
     flow, lower, rows, whole = as_one(kernel, moved, u, v, block)
-    change, points = (flow, lower, moved.end, rows), (x, y, u, whole, block)
-    ancestor, new, log_ratio = _led(reader, change, points, share, nets[0], mixed(key, np.uint64(0)))
+    way = Moved(x, y, whole, np.full(N, 1.0 / N), block, flow, lower), moved.end, rows, u
+    ancestor, new, log_ratio = _led(reader, way, share, nets[0], mixed(key, np.uint64(0)))
     if ancestor.size == 0 or effective(1.0 * np.bincount(ancestor)) < least:
         return none
     z = gone(leg, True, taken(x, ancestor), new, block[ancestor], kernel, key)
@@ -57,14 +57,14 @@ def bridge(way, nets, key, least, curve):
         x, log_w, lineage, share = taken(z, order), log_w[order], lineage[order], np.empty(count)
         first, rest = _halved(leg, linear)
         last, total = rest.steps == 0, normalise(log_w, share)
-        part, change, points = _anew(first, rest, linear, moved, x, nets, own)
-        ancestor, new, log_ratio = _led(reader, change, points, share, nets[0], own)
+        part, way = _anew(first, rest, linear, moved, x, nets, own)
+        ancestor, new, log_ratio = _led(reader, way, share, nets[0], own)
         if ancestor.size == 0:
             break
         again = mixed(np.uint64(stored(own, PARTS)), np.uint64(AGAIN))
-        z = gone(first, linear, taken(x, ancestor), new, points[4][ancestor], part, again)
+        z = gone(first, linear, taken(x, ancestor), new, way[0].block[ancestor], part, again)
         if last:
-            ends, lineage = beside(points[1], z), np.concatenate((lineage, lineage[ancestor]))
+            ends, lineage = beside(way[0].y, z), np.concatenate((lineage, lineage[ancestor]))
             log_l, wrong = likelihoods(reader, ends, read(reader, ends))
             return ends, total + over_both(log_l, log_ratio, share), lineage, wrong
         log_w, lineage, leg = total - log_ratio[count:] - math.log(count), lineage[ancestor], rest
@@ -96,19 +96,17 @@ def _halved(leg, linear):
 
 @jit
 def _anew(first, rest, linear, moved, x, nets, key):
-    """The rest of the way from points x (n, N), in one part or two: the first `Part`, and the change of all.
-
-    And the points: where they begin and end, what moves them in the first part and in all, and their blocks.
-    """
-    part, block = _linearised(first, linear, moved, centres(x)), blocks_of(x.shape[1])
+    """The rest of the way from points x (n, N), of one part or two: the first, and what `_led` takes."""
+    N = x.shape[1]
+    part, block, even = _linearised(first, linear, moved, centres(x)), blocks_of(N), np.full(N, 1.0 / N)
     u = even_normals(nets[1], np.uint64(stored(key, 0)))
     y = gone(first, linear, x, u, block, part, mixed(np.uint64(stored(key, PARTS)), np.uint64(FIRST)))
     if rest.steps == 0:
-        return part, (part.flow, part.lower, part.end, np.empty((0, 1, 1))), (x, y, u, u, block)
+        return part, (Moved(x, y, u, even, block, part.flow, part.lower), part.end, np.empty((0, 1, 1)), u)
     later, v = _linearised(rest, False, moved, part.end), even_normals(nets[2], np.uint64(stored(key, 1)))
     y = gone(rest, False, y, v, block, later, mixed(np.uint64(stored(key, PARTS + 1)), np.uint64(FIRST)))
     flow, lower, rows, whole = as_one(part, later, u, v, block)
-    return part, (flow, lower, later.end, rows), (x, y, u, whole, block)
+    return part, (Moved(x, y, whole, even, block, flow, lower), later.end, rows, u)
 
 
 @jit
@@ -124,26 +122,15 @@ def _linearised(leg, linear, moved, start):
 
 
 @jit
-def _led(reader, change, points, share, net, key):
+def _led(reader, way, share, net, key):
     """Ancestors (count,), what leads them over the first part of a way, (n, count), and what that is worth.
 
-    The points are of shares (N,); without rows, the change has one part.
+    The way: points that have `Moved` along it, of shares (N,); ends of its blocks; rows of what moves points
+    in all of its parts, none where there is but one; and what moves them in the first, (n, N).
     """
-    (flow, lower, end, rows), (x, y, u, whole, block) = change, points
-    n, N = x.shape
-    seen = x, y, read(reader, y), whole, np.full(N, 1.0 / N), block
-    r, ahead, lower, HL, R = as_seen(reader, flow, lower, end, seen, MISSED)
-    first = HL
-    if len(rows) > 0:  # what moves points later is noise of the reading
-        first, lower = multiplied(HL, rows[:, :, :n].copy()), multiplied(lower, rows[:, :, :n].copy())
-        R = R + _squared(HL) - _squared(first)
-    return look_ahead((r, ahead, lower, first, R), u, share, block, net, key)
-
-
-@jit
-def _squared(A):
-    """A Aᵀ of matrices (blocks, k, n)."""
-    return multiplied(A, np.ascontiguousarray(A.transpose(0, 2, 1)))
+    moved, end, rows, u = way
+    seen = as_seen(reader, moved, read(reader, moved.y), end, MISSED)
+    return look_ahead(of_first(seen, rows), u, share, moved.block, net, key)
 
 
 _CURVE = types.Tuple([types.uint32[::1], types.int64])

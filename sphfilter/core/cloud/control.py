@@ -38,9 +38,9 @@ _FEW = 0.25
 #: What points lose of their carriers along that way; the part of points below which tempering is tried, at
 #: twenty times the cost.
 _LOST, _THIN = 2.0, 1.0 / 16.0
-#: Independent points enough for an error of .14; times the carriers of one way, by which another is better.
-_ENOUGH, _FAR_MORE = 50.0, 2.0
-_NEXT_TO_NONE = 16.0  # the evidence's error is a quarter of a nat, and weights' own number is believed
+_ENOUGH = 50.0  # independent points, of which a mean has an error of 1 / √50 = .14
+_FAR_MORE = 2.0  # times the carriers of one way, by which another is better
+_NEXT_TO_NONE = 16.0  # of as many, evidence is 1 / √16 = .25 nats off, and weights' own number is believed
 WRONG = 0.2  # of a variance, off by which it is said to be at usual targets
 _SETTLED = 3  # readings before there are more again; measured: with 2 modes of tests/filter miss .01
 _PATIENCE = 2  # readings that ask for fewer before there are; measured: errors up to 1.7 times with 4
@@ -127,17 +127,16 @@ def is_tempered(lineages, number, count, hidden):
 
 
 @register_jitable
-def is_better(lineages, of_variance, log_evidence, than):
-    """Whether one way to a posterior is better than another: than three numbers of the same.
+def is_better(one, other):
+    """Whether one way to a posterior is better than another, by what each has `Carried`.
 
     It has far more carriers; where both have next to none, the higher evidence. Both know the evidence
     without bias: what has missed the posterior says too little, most of the time. What has found its peak
     may have missed the tails that carry its variance.
     """
-    carriers = min(lineages, of_variance)
-    if carriers > _FAR_MORE * min(than[0], than[1]):
+    if min(one.lineages, one.alone) > _FAR_MORE * min(other.lineages, other.alone):
         return True
-    return max(lineages, than[0]) < _NEXT_TO_NONE and log_evidence > than[2]
+    return max(one.lineages, other.lineages) < _NEXT_TO_NONE and one.log_evidence > other.log_evidence
 
 
 @register_jitable

@@ -12,33 +12,12 @@ from numba import types
 
 from .._addresses import ADDRESS, NOWHERE_AT, Entry
 from .._jit import MATRIX, VECTOR, jit
+from . import control
 from .bridge import BRIDGE
-from .control import (
-    apart_by,
-    bias_allowed,
-    both,
-    decisive,
-    error_by,
-    errors_told,
-    evidence_error,
-    expected_square,
-    is_better,
-    is_flagged,
-    is_led,
-    is_tempered,
-    least_led,
-    next_points,
-    over_allowed,
-    points_for,
-    smoothed,
-    square_of_more,
-    step_after,
-    steps_of_shadow,
-)
-from .lineages import carriers
+from .lineages import Carried, carriers
 from .move import over
 from .noise import NORMAL, stored
-from .pace import FIRST_TRIED, MOST_LOST, Bias, chosen
+from .pace import FIRST_TRIED, MOST_LOST, Bias, Steps, chosen
 from .reader import NET, WAY, Part, Reader
 from .reading import foreseen, weigh
 from .steps import LEG
@@ -58,29 +37,36 @@ from .weights import (
 #: left is to be judged, or has missed; the next one is unusual, and is not put through.
 ALL, MORE, JUDGE, MISSED, UNUSUAL = range(5)
 _INTS, _LINES, _KEY = types.int64[::1], types.int64[:, ::1], types.int64
-_TABLE = types.uint32[::1], types.int64
-_BEGIN = Entry(begin, (MATRIX, VECTOR, _LINES, types.int64, _KEY, NET, *_TABLE))
+_CURVE, _CLOUD = types.Tuple([types.uint32[::1], types.int64]), types.Tuple([MATRIX, VECTOR])
+_BEGIN = Entry(begin, (MATRIX, VECTOR, _LINES, types.int64, _KEY, NET, *_CURVE))
 _CARRY = Entry(carry, (LEG, MATRIX, _INTS, NET, _KEY))
 _LINEAR = Entry(carry_linear, (types.Tuple([MATRIX, VECTOR, MATRIX]), MATRIX, _INTS, NET, _KEY))
 _WEIGH = Entry(weigh, (WAY, types.UniTuple(NET, 3), _KEY))
 _CARRIED = Entry(carriers, (MATRIX, VECTOR, _INTS, _LINES))
-_SPAN, _STEPS = types.UniTuple(types.float64, 2), (types.int64, types.boolean, types.int64, types.int64)
-_CHOSEN = Entry(chosen, (LEG, ADDRESS, _SPAN, MATRIX, VECTOR, _KEY, *_TABLE, *_STEPS, types.float64))
+_MOTION, _SPAN = types.Tuple([LEG, ADDRESS]), types.UniTuple(types.float64, 2)
+_STEPS = types.NamedTuple([types.int64, types.boolean], Steps), types.UniTuple(types.int64, 2), types.float64
+_CHOSEN = Entry(chosen, (_MOTION, _SPAN, _CLOUD, _KEY, _CURVE, *_STEPS))
 #: What a record is put through, each compiled by itself.
 PARTS = _BEGIN, _CARRY, _LINEAR, _WEIGH, _CARRIED, _CHOSEN
 _bridge_at = BRIDGE.at  # compiled when a record needs it
 _begin_at, _carry_at, _linear_at, _weigh_at, _carried_at, _chosen_at = [entry.at for entry in PARTS]
 
 
-class Standing(NamedTuple):
-    """A cloud and its shadow as a reading left them, and what they have told."""
+class Cloud(NamedTuple):
+    """A cloud, or a shadow, as a reading left it, and what moves it on."""
 
     x: np.ndarray  # (n, N)
-    w: np.ndarray
-    lineage: np.ndarray
-    few_x: np.ndarray  # those of the shadow
-    few_w: np.ndarray
-    few_lineage: np.ndarray
+    w: np.ndarray  # (N,)
+    lineage: np.ndarray  # (readings, N)
+    begun: tuple  # what `begin` returns, of points that have begun a way; else `nothing_begun`
+    nets: tuple  # normals (n, count) of the guide, the begin and the motion; and those of `BRIDGE`, or none
+
+
+class Standing(NamedTuple):
+    """A cloud and its shadow, and what they have told."""
+
+    many: Cloud
+    shadow: Cloud
     size: int  # points that the errors told are of
     mean: float  # squares of what the two are apart by
     variance: float
@@ -104,38 +90,35 @@ class Bounds(NamedTuple):
 
 
 class _Cycled(NamedTuple):
-    """A cloud after a cycle: its prior's points, weights, mean and covariance, and what `carried` says."""
+    """A cloud after a cycle: its prior's points, weights, mean and covariance, and what is left of it."""
 
     usual: bool  # whether nothing was found that needs more; else the rest is of no worth
     y: np.ndarray
     w: np.ndarray
     mean: np.ndarray
     cov: np.ndarray
-    found: tuple
+    found: Carried
 
 
 @jit
-def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
+def put_through(parts, motion, sensor, spans, standing, bounds, curve):
     """Put readings through a cloud that a reading has left, as far as each of them is usual.
 
     `parts` are addresses of `PARTS`; `motion` is a model's leg, what moves points along its drift where
     that is stiff, and of a linear one, whose leg is not called, Φ (K, n, n), offset (K, n) and L (K, n, n)
     over each interval; `sensor` is a `Reader` and what it reads, (K, k); `spans` are times (K + 1,),
-    seconds, first that of the cloud, and the least steps of each interval; `standing` is a `Standing` and, of
-    points that have begun a way already, what `begin` returns of the cloud and of its shadow; `nets` are
-    normals (n, count) of the guide, the begin and the motion of both; `curve` is a table and its bits.
+    seconds, first that of the cloud, and the least steps of each interval; `curve` is a table and its bits.
     Returns how the record ends, how many readings are done, the values of a `Standing` after the last of
     them and before it, and of each reading mean and covariance before and after it, the log-evidence and
     its error, the errors of the mean and the variances, the innovation with its covariance where h is a
     function, and whether it or its prediction is flagged.
     """
     (leg, stiff_flow, changes), (reader, Z), (times, least) = motion, sensor, spans
-    standing, begun = standing
-    (K, k), (n, count) = Z.shape, nets[0][0].shape
+    (K, k), (n, count) = Z.shape, standing.many.nets[0].shape
     m, P, x, C = np.empty((K, n)), np.empty((K, n, n)), np.empty((K, n)), np.empty((K, n, n))
     evidence, unsure, error, wider = np.empty(K), np.empty(K), np.empty(K), np.empty(K)
     off, S, flagged = np.empty((K, k)), np.empty((K, k, k)), np.empty(K, np.bool_)
-    before, end, done, none = standing, ALL, 0, nothing_begun(n)
+    before, end, done = standing, ALL, 0
     while done < K and end == ALL:
         j, s, span = done, standing, (times[done], times[done + 1])
         own, step, bias = _paced(parts, leg, stiff_flow, span, s, least[j], bounds, curve)
@@ -143,37 +126,37 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
             end = UNUSUAL
             break
         about = parts, own, _change(changes, j, n), _reads(reader, Z[j], span[1])
-        fewer = steps_of_shadow(own.steps, own.flow == stiff_flow, least[j])
+        fewer = control.steps_of_shadow(own.steps, own.flow == stiff_flow, least[j])
         few = over(own, own.flow, *span, fewer)
-        one, two = _both(about, few, s, begun, nets, curve)
+        one, two = _both(about, few, s, curve)
         ahead, squares = _told(s, one, two, count)
-        error[j], wider[j] = errors_told(*squares[:2], one.found[8], one.found[7], count, bias)
+        numbers = one.found.effective, one.found.of_variance, count
+        error[j], wider[j] = control.errors_told(*squares[:2], *numbers, bias)
         if not (one.usual and two.usual and error[j] == error[j]):
             end = UNUSUAL
             break
-        m[j], P[j], x[j], C[j] = one.mean, one.cov, one.found[4], one.found[5]
-        evidence[j] = one.found[3]
-        unsure[j] = evidence_error(squares[2], one.found[9], count, n)
+        m[j], P[j], x[j], C[j] = one.mean, one.cov, one.found.mean, one.found.cov
+        evidence[j] = one.found.log_evidence
+        unsure[j] = control.evidence_error(squares[2], one.found.lineages, count, n)
         if reader.h != NOWHERE_AT:  # of a linear sensor the moments say it
             off[j], S[j] = foreseen(about[3], one.y, one.w, one.mean)
-        ahead = both(ahead, bias.mean)
-        flagged[j] = is_flagged(ahead, error[j], wider[j], bounds.unresolved, bounds.flagged)
-        told = decisive(error_by(squares[0]), error_by(squares[1]), bounds.target, n)
-        wanted = points_for(count, told, bounds.target, n)
-        points, calm = next_points(count, wanted, s.calm)
-        (a, b, c), (d, e, f) = one.found[:3], two.found[:3]
-        f = f[:1].copy()  # what the shadow tells goes back no further
+        ahead = control.both(ahead, bias.mean)
+        flagged[j] = control.is_flagged(ahead, error[j], wider[j], bounds.unresolved, bounds.flagged)
+        told = control.decisive(control.error_by(squares[0]), control.error_by(squares[1]), bounds.target, n)
+        wanted = control.points_for(count, told, bounds.target, n)
+        points, calm = control.next_points(count, wanted, s.calm)
         stiff = own.flow == stiff_flow
         paced = step, stiff, points, calm, s.age + 1
-        before, standing = s, Standing(a, b, c, d, e, f, count, *squares, *paced)
+        many = _left(s.many, one.found, one.found.lineage)
+        shadow = _left(s.shadow, two.found, two.found.lineage[:1].copy())  # it goes back no further
+        before, standing = s, Standing(many, shadow, count, *squares, *paced)
         done += 1
         end = MORE if points != count else ALL
         if max(error[j], told) > bounds.missed:
             few, added = _again(leg, stiff_flow, span, step, stiff, least[j]), np.nan
-            if begun[0][0].size == 0:  # else it is the filter's
-                added = _added((parts, few, *about[2:]), before, one, nets[1], bounds.target, curve)
+            if s.many.begun[0].size == 0:  # else it is the filter's
+                added = _added((parts, few, *about[2:]), s, one, bounds.target, curve)
             end = end if added <= bounds.missed else MISSED if added > bounds.missed else JUDGE
-        begun = (none, none)
     return (
         end,
         done,
@@ -181,6 +164,12 @@ def put_through(parts, motion, sensor, spans, standing, nets, bounds, curve):
         _bare(before),
         (m, P, x, C, evidence, unsure, error, wider, off, S, flagged),
     )
+
+
+@jit
+def _left(cloud, found, lineage):
+    """A cloud as a reading has left it, of such lineages."""
+    return Cloud(found.x, found.w, lineage, nothing_begun(len(found.x)), cloud.nets)
 
 
 @jit
@@ -192,24 +181,25 @@ def _again(leg, stiff_flow, span, step, stiff, least):
 
 
 @jit
-def _added(about, s, one, nets, target, curve):
+def _added(about, s, one, target, curve):
     """The deciding error that a cycle has added, as `filter.by_cloud.error_added` tells it, or NaN."""
+    nets, (x, w, lineage, begun, _) = s.shadow.nets, s.many
     n, many = nets[0].shape
-    x, w, line = taken(s.x, systematic(s.w, many, 0.5)), np.full(many, 1.0 / many), s.lineage[:0]
-    keys = stored(s.age, 1), stored(s.age + 1, 3)
-    few = _cycled(about, (x, w, line), nothing_begun(n), nets, keys, curve)
+    part = Cloud(taken(x, systematic(w, many, 0.5)), np.full(many, 1.0 / many), lineage[:0], begun, nets)
+    few = _cycled(about, part, (stored(s.age, 1), stored(s.age + 1, 3)), curve)
     if not few.usual:
         return np.nan
-    first, second, most = compared(one.found[4], one.found[5], few.found[4], few.found[5])
-    return decisive(error_by(apart_by(first, second, n)), error_by(most), target, n)
+    first, second, most = compared(one.found.mean, one.found.cov, few.found.mean, few.found.cov)
+    off = control.error_by(control.apart_by(first, second, n))
+    return control.decisive(off, control.error_by(most), target, n)
 
 
 @jit
 def _bare(s):
     """The values of a cloud's standing: an interrupt in the making of a named tuple is none to Python."""
-    few = s.few_x, s.few_w, s.few_lineage
+    cloud, shadow = (s.many.x, s.many.w, s.many.lineage), (s.shadow.x, s.shadow.w, s.shadow.lineage)
     told = s.size, s.mean, s.variance, s.log_evidence
-    return (s.x, s.w, s.lineage, *few, *told, s.step, s.stiff, s.points, s.calm, s.age)
+    return (*cloud, *shadow, *told, s.step, s.stiff, s.points, s.calm, s.age)
 
 
 @jit
@@ -237,15 +227,15 @@ def _paced(parts, leg, stiff_flow, span, s, least, bounds, curve):
         return leg, s.step, Bias(0.0, 0.0)
     if leg.kind == NORMAL:  # a map has the steps that it has
         return over(leg, leg.flow, span[0], span[1], least), s.step, Bias(0.0, 0.0)
-    dt, told = span[1] - span[0], error_by(s.mean)
-    allowed = bias_allowed(told, s.w.size, 0.0, bounds.doubtful, bounds.target, 1)
+    dt, told = span[1] - span[0], control.error_by(s.mean)
+    allowed = control.bias_allowed(told, s.many.w.size, 0.0, bounds.doubtful, bounds.target, 1)
     number = math.ceil(dt / s.step - 1e-9) if s.step > 0.0 else FIRST_TRIED
-    about = s.x, s.w, stored(s.age, 0), *curve, number, s.stiff, least, bounds.most, allowed
-    steps, stiff, bias, lost = _chosen_at(parts[5])(leg, stiff_flow, span, *about)
+    about = (s.many.x, s.many.w), stored(s.age, 0), curve, Steps(number, s.stiff), (least, bounds.most)
+    steps, stiff, bias, lost = _chosen_at(parts[5])((leg, stiff_flow), span, *about, allowed)
     own = over(leg, stiff_flow if stiff else leg.flow, span[0], span[1], steps)
     if lost > 2.0 * MOST_LOST or steps > bounds.most:
         return own, s.step, Bias(np.inf, np.inf)
-    step = step_after(dt, steps, over_allowed(bias, allowed, len(s.x)))
+    step = control.step_after(dt, steps, control.over_allowed(bias, allowed, len(s.many.x)))
     return own, step, bias
 
 
@@ -258,26 +248,24 @@ def nothing_begun(n):
 
 
 @jit
-def _both(about, few, s, begun, nets, curve):
+def _both(about, few, s, curve):
     """Cloud and shadow after a cycle, of few steps for that; of no worth where the cloud is of none."""
-    keys = stored(s.age, 0), stored(s.age + 1, 2)
-    one = _cycled(about, (s.x, s.w, s.lineage), begun[0], nets[0], keys, curve)
+    one = _cycled(about, s.many, (stored(s.age, 0), stored(s.age + 1, 2)), curve)
     keys = stored(s.age, 1), stored(s.age + 1, 3)
-    cloud = s.few_x, s.few_w, s.few_lineage
-    two = _cycled((about[0], few, about[2], about[3]), cloud, begun[1], nets[1], keys, curve)
+    two = _cycled((about[0], few, about[2], about[3]), s.shadow, keys, curve)
     if few.steps < about[1].steps and any_beyond(two.y, one.y):
-        two = _cycled(about, cloud, begun[1], nets[1], keys, curve)
+        two = _cycled(about, s.shadow, keys, curve)
     return one, two
 
 
 @jit
-def _cycled(about, cloud, begun, nets, keys, curve):
-    """A cloud x (n, N), w (N,) of lineages (readings, N), or its begin, over an interval and a reading."""
-    parts, leg, change, reader = about
+def _cycled(about, cloud, keys, curve):
+    """A cloud over an interval and a reading."""
+    (parts, leg, change, reader), (x, w, lineage, begun, nets) = about, cloud
     first, second = nets[1], nets[2]
     (n, count), key = first.shape, keys[0]
     if begun[0].size == 0:
-        begun = _begin_at(parts[0])(cloud[0], cloud[1], cloud[2], count, key, first, *curve)
+        begun = _begin_at(parts[0])(x, w, lineage, count, key, first, *curve)
     start, x, u, w, block, middle, lower, flow, older = begun
     kernel = Part(middle, middle, flow, lower, np.empty((1, 0, 0)))
     linear = leg.drift == NOWHERE_AT
@@ -290,19 +278,20 @@ def _cycled(about, cloud, begun, nets, keys, curve):
     z, log_w, ancestor, wrong = y, np.full(count, -np.inf), np.empty(0, np.int64), 1
     if near_others(y, AWAY)[1]:  # else what reads may be asked where no state is
         z, log_w, ancestor, wrong = _weigh_at(parts[3])(way, (nets[0], nets[1], nets[2]), keys[1])
-    found, number = _carried_at(parts[4])(z, log_w, ancestor, older), effective(w)
-    unled = is_led(found[9], number, count)
+    carried, number = _carried_at(parts[4]), effective(w)
+    found = Carried(*carried(z, log_w, ancestor, older))
+    unled = control.is_led(found.lineages, number, count)
     if unled and wrong == 0 and nets[3].size > 0:
-        by = (nets[3], nets[4], nets[5]), keys[1], least_led(found[9]), curve
+        by = (nets[3], nets[4], nets[5]), keys[1], control.least_led(found.lineages), curve
         z, log_w, ancestor, wrong = _bridge_at(parts[6])(way, *by)
         unled = False
         if log_w.size > 0:
-            led = _carried_at(parts[4])(z, log_w, ancestor, older)
-            found = led if is_better(led[9], led[6], led[3], (found[9], found[6], found[3])) else found
+            led = Carried(*carried(z, log_w, ancestor, older))
+            found = led if control.is_better(led, found) else found
     mean, cov = np.empty(n), np.empty((n, n))
     weighted_moments(y, w, mean, cov)
-    few = unled or is_tempered(found[9], number, count, False)
-    usual = not few and wrong == 0 and found[3] > -np.inf
+    few = unled or control.is_tempered(found.lineages, number, count, False)
+    usual = not few and wrong == 0 and found.log_evidence > -np.inf
     return _Cycled(usual, y, w, mean, cov, found)
 
 
@@ -310,13 +299,14 @@ def _cycled(about, cloud, begun, nets, keys, curve):
 def _told(s, one, two, count):
     """Error that a cloud and its shadow tell of the prior's mean; and squares after the reading."""
     n, times = one.mean.size, count / s.size
-    mean, variance = square_of_more(s.mean, times), square_of_more(s.variance, times)
+    mean, variance = control.square_of_more(s.mean, times), control.square_of_more(s.variance, times)
     first, second, _ = compared(one.mean, one.cov, two.mean, two.cov)
-    ahead = error_by(smoothed(mean, apart_by(first, second, n)))
+    ahead = control.error_by(control.smoothed(mean, control.apart_by(first, second, n)))
     if mean != mean:
-        mean = expected_square(two.found[8])
+        mean = control.expected_square(two.found.effective)
         variance = (n + 1.0) * mean
-    first, second, most = compared(one.found[4], one.found[5], two.found[4], two.found[5])
-    mean, variance = smoothed(mean, apart_by(first, second, n)), smoothed(variance, most)
-    evidence = square_of_more(s.log_evidence, times)
-    return ahead, (mean, variance, smoothed(evidence, (one.found[3] - two.found[3]) ** 2))
+    first, second, most = compared(one.found.mean, one.found.cov, two.found.mean, two.found.cov)
+    mean = control.smoothed(mean, control.apart_by(first, second, n))
+    off = one.found.log_evidence - two.found.log_evidence
+    evidence = control.smoothed(control.square_of_more(s.log_evidence, times), off**2)
+    return ahead, (mean, control.smoothed(variance, most), evidence)

@@ -5,6 +5,7 @@ points without their noise, HL (blocks, k, n), R the covariance of the reading, 
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,18 +20,43 @@ from .weights import distances, oftener, prior_times, systematic, taken, weighte
 
 #: Neighbours to either side, that tell what the flow is without noise.
 NEAR = 2
+#: Times the reading's own noise that the guide sees: 1.2 has heavy weights on two wells, 2 is as good.
+WIDER = 1.5
+
+
+class Moved(NamedTuple):
+    """Points that have gone a way, linearised in blocks: y ≈ Φ x + L u and what is the same for a block."""
+
+    x: np.ndarray  # (n, N), where they began
+    y: np.ndarray  # (n, N), where they came
+    u: np.ndarray  # (n, N), normals that moved their ends
+    w: np.ndarray  # (N,) weights
+    block: np.ndarray  # (N,)
+    flow: np.ndarray  # Φ, (blocks, n, n)
+    lower: np.ndarray  # L, (blocks, n, n)
+
+
+class Ahead(NamedTuple):
+    """Points before a reading, as it sees them without the noise that moves their ends."""
+
+    r: np.ndarray  # (k, N), what was read less what each would read
+    y: np.ndarray  # (n, N), where they would come
+    L: np.ndarray  # of that noise, (blocks, n, n)
+    HL: np.ndarray  # (blocks, k, n)
+    R: np.ndarray  # noise that a guide takes, with what linearity misses, (blocks, k, k)
 
 
 @jit
-def without_noise(y, x, u, L, Phi, block):
+def without_noise(moved):
     """Where each point (n, N) would go without the noise that moves the end, as its neighbours tell.
 
     What its own noise did must not tell it: the proposal's density at a point would depend on the draw that
     it is to weigh, and the evidence would be wrong however many points there are.
     """
-    (n, N), first, out = y.shape, 0, products(Phi, x, block)
-    rest = y - out
-    add_products(rest, -1.0, L, u, block)
+    (n, N), first, block = moved.y.shape, 0, moved.block
+    out = products(moved.flow, moved.x, block)
+    rest = moved.y - out
+    add_products(rest, -1.0, moved.lower, moved.u, block)
     while first < N:
         last = end_of_block(block, first)
         for a in range(n):
@@ -89,19 +115,41 @@ def joined(Phi, G, flow, lower):
 
 
 @jit
-def linear_reading(hy, x, u, w, block, Phi, L, H, R, angle, wider, misses):
-    """What a reading sees of a way of points, linearised in blocks: HL (blocks, k, n), and the noise
-    (blocks, k, k) that a guide takes.
+def of_first(ahead, rows):
+    """Points `Ahead`, of which the noise of a way's first part alone moves the ends.
+
+    What moves them later is noise of the reading: to the end of the way `rows` (blocks, n, d) bring the noise
+    of all parts; without any there is but one.
+    """
+    r, y, L, HL, R = ahead
+    if len(rows) == 0:
+        return ahead
+    part = rows[:, :, : L.shape[2]].copy()
+    first = multiplied(HL, part)
+    return Ahead(r, y, multiplied(L, part), first, R + _squared(HL) - _squared(first))
+
+
+@jit
+def _squared(A):
+    """A Aᵀ of matrices (blocks, k, n)."""
+    return multiplied(A, np.ascontiguousarray(A.transpose(0, 2, 1)))
+
+
+@jit
+def linear_reading(moved, h, H, R, angle, misses):
+    """What a reading sees of points that have `Moved`: HL (blocks, k, n), and the noise (blocks, k, k) that a
+    guide takes.
 
     What linearity misses is half the mean square difference of neighbours' readings less their linear parts.
     Neighbours on the curve stand for the second derivatives of a block: what is the same for both cancels.
-    The noise is `wider` times R and `misses` times what linearity misses; H and R are of one or all blocks,
-    hy (k, N) are readings of the ends, and x, u, w, block of N points, Phi, L of blocks are a way's.
+    The noise is `WIDER` times R and `misses` times what linearity misses; H and R are of one or all blocks,
+    h (k, N) are readings of the ends.
     """
-    (k, N), nb, HL = hy.shape, len(L), multiplied(H, L)
-    C, off, rest, total = np.zeros((k, k)), np.empty(k), hy.copy(), 0.0
-    add_products(rest, -1.0, HL, u, block)
-    add_products(rest, -1.0, multiplied(H, Phi), x, block)
+    (k, N), nb, HL = h.shape, len(moved.lower), multiplied(H, moved.lower)
+    w, block = moved.w, moved.block
+    C, off, rest, total = np.zeros((k, k)), np.empty(k), h.copy(), 0.0
+    add_products(rest, -1.0, HL, moved.u, block)
+    add_products(rest, -1.0, multiplied(H, moved.flow), moved.x, block)
     for i in range(1, N):
         finite, v = block[i] == block[i - 1], 0.5 * (w[i] + w[i - 1])
         for a in range(k):
@@ -112,7 +160,7 @@ def linear_reading(hy, x, u, w, block, Phi, L, H, R, angle, wider, misses):
             for e in range(k):
                 C[a, e] += 0.5 * v * off[a] * off[e]
     noise = np.empty((nb, k, k))
-    noise[:] = wider * R + C * (misses / total if total > 0.0 else 0.0)
+    noise[:] = WIDER * R + C * (misses / total if total > 0.0 else 0.0)
     return HL, noise
 
 
@@ -178,7 +226,7 @@ def _log_peak(F):
 
 
 @jit
-def look_ahead(seen, u, w, block, net, key):
+def look_ahead(ahead, u, w, block, net, key):
     """Choose ancestors of a reading, and what shall move their ends.
 
     Those that will come d standard deviations from the mean are chosen up to 1 + d/√n times as often as the
@@ -186,8 +234,7 @@ def look_ahead(seen, u, w, block, net, key):
 
     Parameters
     ----------
-    seen : tuple of ndarray, shapes (k, N), (n, N), (blocks, n, n), (blocks, k, n), (blocks, k, k)
-        r; ends of points without their noise, and L of what leads them; HL and R.
+    ahead : Ahead
     u, w, block : ndarray, shapes (n, N), (N,), (N,)
     net : ndarray, shape (n, count)
         Standard normals that are even along the curve, and are turned and shifted by the key.
@@ -201,7 +248,7 @@ def look_ahead(seen, u, w, block, net, key):
         Logarithm of the proposal's density of (point, u) over the prior's: of the N of the first pass, then
         of the new ones.
     """
-    r, ahead, L, HL, R = seen
+    r, y, L, HL, R = ahead
     (k, N), (n, count), blocks = r.shape, net.shape, HL.shape[0]
     z, cut = even_normals(net, key), uniform(key, np.uint64(0))
     K, T, S, F = np.zeros((blocks, n, k)), np.zeros((blocks, n, n)), np.empty((k, k)), np.empty((k, k))
@@ -217,7 +264,7 @@ def look_ahead(seen, u, w, block, net, key):
     for i in range(N):
         a[i] = FAST.exp(a[i] - top)
     total = summed(a)
-    often, ratio = _how_often(a / total, (ahead, multiplied(L, K), r, block), count)
+    often, ratio = _how_often(a / total, y, (multiplied(L, K), r, block), count)
     ancestor, known = systematic(often, count, cut), top + math.log(total * summed(often))
     rest = r.copy()
     add_products(rest, -1.0, HL, u, block)
@@ -231,14 +278,14 @@ def look_ahead(seen, u, w, block, net, key):
 
 
 @jit
-def _how_often(a, led, count):
+def _how_often(a, y, led, count):
     """How often (N,) ancestors of weights a (N,) are chosen, and logarithms of that over their weights.
 
-    They are led from ends without noise (n, N) by so much (blocks, n, k) of residuals (k, N) of blocks (N,).
+    Their ends without noise y (n, N) are led by so much (blocks, n, k) of residuals (k, N) of blocks (N,).
     """
-    (ahead, by, r, block), (n, N) = led, led[0].shape
-    end, ratio, mean, cov = ahead.copy(), np.zeros(N), np.empty(n), np.empty((n, n))
-    add_products(end, 1.0, by, r, block)
+    (n, N), end, ratio = y.shape, y.copy(), np.zeros(len(a))
+    mean, cov = np.empty(n), np.empty((n, n))
+    add_products(end, 1.0, *led)
     for i in range(N):
         if a[i] == 0.0:
             end[:, i] = 0.0  # it may be no number

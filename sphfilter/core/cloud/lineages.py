@@ -1,5 +1,7 @@
 """Lineages of weighted points: of how many independent ones means, variances and evidences are averages."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from .._jit import jit
@@ -14,6 +16,24 @@ from .weights import effective, finite_rows, normalise, taken, weighted_moments
 LINES = 6
 
 
+class Carried(NamedTuple):
+    """Weighted points, the evidence, and how many independent points they are.
+
+    All, without weights, where none has any.
+    """
+
+    x: np.ndarray  # (n, N), those that weigh something
+    w: np.ndarray  # (N,) of sum one
+    lineage: np.ndarray  # (readings, N): ancestors among the prior's points, and those of readings before
+    log_evidence: float
+    mean: np.ndarray  # (n,)
+    cov: np.ndarray  # (n, n)
+    alone: float  # for variances, were each point its own
+    of_variance: float  # for variances
+    effective: float  # for means
+    lineages: float  # for the evidence
+
+
 @jit
 def carriers(x, log_w, ancestor, older):
     """Points that weigh something, and of how many independent ones they are an average.
@@ -26,16 +46,8 @@ def carriers(x, log_w, ancestor, older):
 
     States x (n, N) that are no numbers weigh nothing; exp(log_w) (N,) have the evidence as their sum. Each
     has an ancestor (N,) among the prior's M points, and these `older` ones (readings, M) among those of the
-    reading before, of the one before that, and so on.
-
-    Returns
-    -------
-    x, w, lineage : ndarray, shapes (n, N), (N,), (1 + readings, N)
-        Those with weights, of sum one, and their ancestors; all, without weights, where none has any.
-    log_evidence : float
-    mean, cov : ndarray, shapes (n,), (n, n)
-    alone, of_variance, effective, lineages : float
-        Numbers for variances were each point its own and as they are, for the mean and for the evidence.
+    reading before, of the one before that, and so on. Returns the values of a `Carried`: an interrupt in the
+    making of a named tuple is none to Python.
     """
     n, N = x.shape
     log_w, w, mean, cov = log_w.copy(), np.zeros(N), np.zeros(n), np.zeros((n, n))

@@ -10,7 +10,7 @@ from .._views import stretch
 #: Points that are moved together: of four states, 8 numbers each in a step, they fill the first-level cache,
 #: 128 * 4 * 8 * 8 bytes = 32 KB.
 LANES = 128
-_PIECE = 4 * LANES  # of a net: of four states, 2 * 4 * 512 numbers of 8 bytes are 32 KB
+_PIECE = 4 * LANES  # of a net: of four states, 2 * 4 numbers each, 512 * 2 * 4 * 8 bytes = 32 KB
 #: Noise of a leg: it depends on the state, or stands beside the drift; or is that of a map, and normal.
 OF_STATE, ADDITIVE, NORMAL = range(3)
 

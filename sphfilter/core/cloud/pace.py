@@ -9,7 +9,7 @@ from .._jit import jit
 from ..limits import LOOK, ROUNDING, TINY
 from ..small_matrices import add_carried, product
 from ..step_control import HELPED, MORE
-from .control import STEPS_ORDER, WRONG, over_allowed
+from .control import SHADOW, STEPS_ORDER, WRONG, over_allowed
 from .curve import along_curve
 from .move import over
 from .noise import LANES, OF_STATE, fill_noise, mixed
@@ -18,8 +18,8 @@ from .way import PILOT
 from .weights import AWAY, eighths, finite_rows, systematic, taken, turned
 
 #: Groups of the points that tell the bias of steps; where what they show may be chance, more are asked, up to
-#: N / 8 (as many as a shadow has), as long as that costs less than the steps that chance would ask for.
-_GROUPS, _LOOKED = 4, 8
+#: as many as a shadow has, as long as that costs less than the steps that chance would ask for.
+_GROUPS = 4
 #: Neighbours along the same noise but for its signs: those of two noises, and their product. Measured:
 #: volatility at an asked .01 takes 2 to 8 steps for 50 to 250 of points that have a noise each.
 _MIRRORED = 4
@@ -49,7 +49,7 @@ class Steps(NamedTuple):
 
 
 @jit
-def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, most, allowed):
+def chosen(motion, span, cloud, key, curve, begin, bounds, allowed):
     """How many steps points need for a bias that is allowed: tried with more and more of them.
 
     Their bias is how far apart the means of a few points are after steps and after half as long ones, along
@@ -57,27 +57,27 @@ def chosen(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, 
     part whatever their steps, and means are apart by chance: those that have parted forget their bias, and it
     is looked at over the first part of the interval, in which they do not.
 
-    The span is begin and end, seconds; points x (n, N) have weights w (N,). It begins with a `number` of
-    steps that may be `stiff`, moved by `stiff_flow`; there are `least` and `most`, and more than these where
-    that is not enough. Returns number and `stiff` as of `Steps`, their `Bias`, and the part of the points
-    that the model carries to infinity.
+    The motion is a leg, and what moves points along its drift where that is stiff; the span begin and end,
+    seconds; the cloud points x (n, N) and weights w (N,); the curve a table and its bits. It is begun with
+    `Steps` of a model; there are a least and a most number, and more than these where that is not enough.
+    Returns number and `stiff` as of `Steps`, their `Bias`, and the part of the points that the model carries
+    to infinity.
     """
-    parts, part = 1, span
+    parts, part, (least, most) = 1, span, bounds
     while True:
-        first, bounds = max(number // parts, 1), (-(-least // parts), most // parts)
-        steps, own_flow, bias, lost, astray = tried(
-            leg, stiff_flow, part, x, w, key, table, bits, first, stiff, *bounds, allowed
-        )
+        first, own = Steps(max(begin.number // parts, 1), begin.stiff), (-(-least // parts), most // parts)
+        steps, stiff, bias, lost, astray = tried(motion, part, cloud, key, curve, first, own, allowed)
         if not astray or parts >= _PARTS:
-            return parts * steps, own_flow, bias, lost
+            return parts * steps, stiff, bias, lost
         parts *= 4
         part = span[0], span[0] + (span[1] - span[0]) / parts
 
 
 @jit
-def tried(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, most, allowed):
+def tried(motion, span, cloud, key, curve, begin, bounds, allowed):
     """The result of `chosen` over one span, and whether no steps do because paths part."""
-    every, x, before, again, astray = x, few(x, w, LOOK, table, bits), np.inf, False, False
+    (leg, stiff_flow), (every, w), (number, stiff), (least, most) = motion, cloud, begin, bounds
+    x, before, again, astray = few(every, w, LOOK, *curve), np.inf, False, False
     far, best, n = farthest(every, w), number, len(every)
     ends = turned(taken(every, far))
     number, own = max(least, number), mixed(np.uint64(key), np.uint64(PILOT))
@@ -94,7 +94,7 @@ def tried(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, m
         too_much = over_allowed(bias, allowed, n)
         more = math.ceil(number * min(max(too_much ** (1.0 / STEPS_ORDER), 1.2), MORE))
         if bias.mean > allowed and _may_be_chance(len(x), w.size, number, more, apart, chance, allowed):
-            x, before, again = few(every, w, 4 * len(x), table, bits), np.inf, False  # a new look
+            x, before, again = few(every, w, 4 * len(x), *curve), np.inf, False  # a new look
             continue
         if not too_much > 1.0 and alone > allowed:
             number, stiff = 2 * number, 2 * number > MORE * max(least, FIRST_TRIED)
@@ -120,8 +120,8 @@ def tried(leg, stiff_flow, span, x, w, key, table, bits, number, stiff, least, m
 @jit
 def _may_be_chance(looked, every, number, more, apart, chance, allowed):
     """Whether chance may be all of a bias, the most points would tell, and more cost less than more steps."""
-    least = _BEYOND * math.sqrt(_CHANCE * _LOOKED * looked / every) * chance
-    may_be = apart < chance and least < allowed and 4 * _LOOKED * looked <= every
+    least = _BEYOND * math.sqrt(_CHANCE * SHADOW * looked / every) * chance
+    may_be = apart < chance and least < allowed and 4 * SHADOW * looked <= every
     return may_be and 3 * 4 * looked * number < (more - number) * every
 
 

@@ -9,14 +9,12 @@ from .._addresses import ADDRESS, NOWHERE_AT, function_at
 from .._jit import MATRIX, VECTOR, jit
 from ..limits import DIFFERENCE
 from .blocks import products
-from .guide import joined, linear_reading, log_normals, residuals, without_noise, wrapped
+from .guide import Ahead, joined, linear_reading, log_normals, residuals, without_noise, wrapped
 from .linearise import lower_and_rows
 from .move import affine, moved_over
 from .steps import CUBE, LEG
 from .weights import finite_rows, taken, turned
 
-#: Times the reading's own noise that the guide sees: 1.2 has heavy weights on two wells, 2 is as good.
-WIDER = 1.5
 #: What numbers of a reading's key are for: its guide, and passages k = 0, 1 at PARTS + k.
 GUIDE, PARTS = 11, 20
 
@@ -127,16 +125,12 @@ def as_one(part, later, u, v, block):
 
 
 @jit
-def as_seen(reader, flow, lower, end, points, misses):
-    """A way of points as a sensor sees it, of Φ, L and ends of blocks.
+def as_seen(reader, moved, h, end, misses):
+    """Points that have `Moved` as a sensor sees them, of readings h (k, N) and ends (blocks, n) of blocks.
 
-    Of the points: x and y (n, N), where they begin and end, readings h (k, N) there, what moves them, u
-    (n, N), weights and blocks (N,). A guide takes `misses` times what linearity misses. Returns what
-    `look_ahead` goes by.
+    A guide takes `misses` times what linearity misses. Returns what they are `Ahead`.
     """
-    (x, y, h, u, w, block), k = points, reader.z.size
-    ahead = without_noise(y, x, u, lower, flow, block)
-    r = residuals(reader.z, read(reader, ahead), reader.angle)
+    y, k = without_noise(moved), reader.z.size
+    r = residuals(reader.z, read(reader, y), reader.angle)
     H, R = _slopes(reader, end), reader.R.copy().reshape((1, k, k))
-    HL, R = linear_reading(h, x, u, w, block, flow, lower, H, R, reader.angle, WIDER, misses)
-    return r, ahead, lower, HL, R
+    return Ahead(r, y, moved.lower, *linear_reading(moved, h, H, R, reader.angle, misses))

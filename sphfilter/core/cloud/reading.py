@@ -9,14 +9,15 @@ import numpy as np
 from .._jit import jit
 from ..limits import ALIKE
 from .blocks import steered
-from .guide import NEAR, look_ahead, over_both, wrapped
+from .guide import NEAR, WIDER, Moved, look_ahead, over_both, wrapped
 from .noise import even_normals, mixed, stored
-from .reader import GUIDE, PARTS, WIDER, as_one, as_seen, gone, likelihoods, read
+from .reader import GUIDE, PARTS, as_one, as_seen, gone, likelihoods, read
 from .way import AGAIN
 from .weights import beside, effective, normalise, prior_times, taken, weighted_moments
 
-#: Variance of a point's own rest about the mean of its neighbours', over that of one: OWN = 1 + 1 / (2 NEAR).
-OWN = 1.0 + 0.5 / NEAR
+#: Times what linearity misses, that the guide sees, as of the reading's noise: about the mean of its
+#: neighbours' a point's rest has 1 + 1 / (2 NEAR) times its own variance.
+OWN = WIDER * (1.0 + 0.5 / NEAR)
 
 
 @jit
@@ -70,8 +71,8 @@ def weigh(way, nets, key):
     if wrong or not abs(normalise(log_w, first)) < np.inf or effective(first) >= ALIKE * effective(w):
         return y, log_w, alone, wrong
     flow, lower, rows, whole = as_one(kernel, moved, u, v, block)
-    seen = as_seen(reader, flow, lower, moved.end, (x, y, h, whole, w, block), WIDER * OWN)
-    ancestor, new, log_ratio = look_ahead(seen, whole, w, block, nets[0], own)
+    ahead = as_seen(reader, Moved(x, y, whole, w, block, flow, lower), h, moved.end, OWN)
+    ancestor, new, log_ratio = look_ahead(ahead, whole, w, block, nets[0], own)
     if ancestor.size == 0:
         return y, log_w, alone, wrong
     end, block = taken(x, ancestor), block[ancestor]
