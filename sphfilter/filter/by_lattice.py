@@ -21,7 +21,7 @@ from .by_cloud import by_cloud
 from .inherited import evidence_error_of, of_shape, shift_left_by_update
 from .reading_at_prior import Posterior, ReadingAtPrior
 
-#: Standard deviations beyond the particles to which the tail of a density is trusted, and that of a Gaussian.
+#: Deviations beyond particles to which a tail is trusted, and a Gaussian's; measured: half changes no run.
 _TRUSTED_TAIL, _TRUSTED_GAUSSIAN = 5.0, 20.0
 
 
