@@ -145,7 +145,7 @@ class _Run:
         if not len(Z) or self._stacked(Z[0], times[1]).reader is None:
             return False
         while (k := len(self.reached.rows) - first) < len(Z):
-            if not self.reached.state.begins or not self._at_once(times[k:], Z[k:]):
+            if not self._at_once(times[k:], Z[k:]):
                 return False
         return True
 
@@ -209,7 +209,9 @@ def _usual(filt: Any) -> bool:
         own = sensor.H is None or not sensor.angles  # else it sums in an order of its own
     usual = plain and filt.adapts and own and filt.model.domain.unbounded and not filt._steps
     usual = usual and density.left_out is None  # which steps carry
-    return bool(usual and (_begins(filt) if density.cloud is None else density.needs is not None))
+    if density.cloud is None:
+        return bool(usual and _begins(filt))
+    return bool(usual and density.needs is not None and density.cloud.begins)
 
 
 def _begins(filt: Any) -> bool:
