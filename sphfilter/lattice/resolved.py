@@ -185,8 +185,7 @@ def _overlooked(
         X = X[lattice_field.inside_lattice(field, X)]
     if not len(X):
         return []
-    values = product(X)
-    factor: Any = np.linalg.cholesky(cov)
+    values, factor = product(X), _root_of(cov)
     if isinstance(laid, LatticeDensity):
         widest = values + np.log(np.sqrt(2.0 * math.pi) * np.diag(factor)).sum()  # no peak has more mass
         high = widest + np.log(felt(laid.mean, laid.cov, X)) > laid.log_mass + math.log(search.most_left_out)
@@ -200,6 +199,14 @@ def _overlooked(
     farthest = np.linalg.norm(np.linalg.solve(factor, (x - mean).T), axis=0).max()  # a tail is a guess
     found = peaks(product, X, values, factor)
     return [p for p in found if np.linalg.norm(np.linalg.solve(factor, p.x - mean)) < farthest]
+
+
+def _root_of(cov: Floats) -> Any:
+    """Lower factor of a covariance (n, n)."""
+    try:
+        return np.linalg.cholesky(cov)
+    except np.linalg.LinAlgError:
+        raise PropagationError("the density is narrower than the digits of its mean can tell") from None
 
 
 def _tries(

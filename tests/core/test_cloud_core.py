@@ -218,6 +218,18 @@ def test_what_readings_leave_keeps_its_bend_where_it_begins_again():
     assert np.mean(kept) == pytest.approx(1.0, abs=0.06)  # .79 with Gaussians as wide as points are apart
 
 
+def test_no_point_is_strewn_between_two_modes():
+    """The block in which one ends and the other begins is as wide as both are apart: its points are not."""
+    x = np.random.default_rng(4).standard_normal((512, 2))
+    x[::3, 0] += 100.0
+    for lineage in (None, np.arange(512)[None], np.repeat(np.arange(32), 16)[None]):
+        points = points_of_sample(Points(x, np.full(512, 1.0 / 512), lineage=lineage), 512, 1)
+        assert np.all(
+            np.minimum(abs(points.x[:, 0]), abs(points.x[:, 0] - 100.0)) < 6.0
+        )  # 18 as wide as blocks
+        np.testing.assert_allclose(np.cov(points.x.T), np.cov(x.T), rtol=0.02, atol=0.3)
+
+
 def test_copies_of_few_points_stand_for_more_than_their_distance():
     rng = np.random.default_rng(5)
     few = rng.standard_normal((2, 16))
