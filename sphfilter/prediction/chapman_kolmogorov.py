@@ -31,7 +31,7 @@ from ..lattice.level_set import lattice_reach
 from ..lattice.posterior import posterior
 from ..model.discrete import DiscreteModel
 from ..model.paths import noise_root
-from ._shared import Predicted
+from ._shared import Predicted, kept
 
 #: Points up to which a cloud is taken, by states; of three K nodes at K others are more work. Measured by
 #: tests/filter/discrete_beside.py: of two sums take as long as 2^13 points, for a thirtieth of the error.
@@ -98,7 +98,7 @@ def _stepped(
     if max(grain, off.residual, jump) > DOUBTFUL:
         raise PropagationError(_TOO_LITTLE)
     new = ParticleDensity.on_lattice(laid, density.t, n_particles, residual=off.residual, lost=density.lost)
-    left = density.error * _kept(density, new, mean)
+    left = density.error * kept(density.x, mean, density.mass, new.cov())
     asked *= 1 + 2 * model.dim + model.n_noise
     return new.noted(error=math.hypot(left, off.mean, grain, jump), needs=density.needs), asked
 
@@ -201,12 +201,3 @@ def _enough(waves: Floats, density: ParticleDensity) -> int:
         if many > _MOST:
             raise PropagationError(_TOO_LITTLE)
     return many
-
-
-def _kept(before: ParticleDensity, after: ParticleDensity, moved: Floats) -> float:
-    """What of an error of the mean a step leaves, in standard deviations, by regression on where nodes go."""
-    off = moved - before.mass @ moved
-    cross = (off * before.mass[:, None]).T @ (before.x - before.mean())
-    roots = np.linalg.cholesky(before.cov()), np.linalg.cholesky(after.cov())
-    part = np.linalg.solve(roots[1], np.linalg.solve(roots[0], cross.T).T)
-    return float(np.linalg.norm(part)) / math.sqrt(before.dim)

@@ -42,7 +42,7 @@ from ..info import DOUBTFUL, Code, PredictInfo
 from ..model.domain import Domain
 from ..model.dynamics import Dynamics
 from ..model.sde import SDE
-from ._shared import Predicted, blow_up, carried_off, skip_notes
+from ._shared import Predicted, blow_up, carried_off, kept, skip_notes
 from .time_slices import slices_at
 
 _PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
@@ -69,7 +69,24 @@ def propagate(
     moved = carried_cloud(state, model, span, scheme, target, density.domain)
     capacity = density.capacity if n_particles is None else n_particles
     new = cloud_of(density, moved.state, moved.moments, t=float(t1), capacity=capacity, error=moved.error)
-    return new, info_of(model, scheme.n_points, moved.steps, moved.lost, moved.error, moved.variance_error)
+    error = max(moved.error, _of_before(density, moved))
+    wider = max(moved.variance_error, math.sqrt(2.0) * error)
+    return new, info_of(model, scheme.n_points, moved.steps, moved.lost, error, wider)
+
+
+def _of_before(density: ParticleDensity, moved: "Carried") -> float:
+    """What a prediction leaves of the error that a cloud's mean had before it, in standard deviations.
+
+    A cloud and its shadow know what each of them misses, and not what the readings have left to both.
+    """
+    points = moved.state.points
+    if density.cloud is None or points.path is None or not density.error > moved.error:
+        return 0.0
+    first = len(points.path.passages) == 2  # what has parted copies, and this prediction
+    x = points.path.x if first else density.cloud.points.x
+    if len(x) != len(points.x):
+        return density.error
+    return density.error * kept(x, points.x, points.w, moved.moments[1])
 
 
 class Carried(NamedTuple):
@@ -110,8 +127,9 @@ def carried_cloud(
         sums.append(moments(moved.x, moved.w))
     told = state.told.of(count / state.size)
     off = squared_differences(ends[0], ends[1], domain, sums)
-    error = math.hypot(told.after(*off).errors.mean, pace.bias.mean, state.inherited)
-    wider = math.hypot(math.sqrt(2.0) * error, pace.bias.variance)
+    seen = told.after(*off).errors
+    error = math.hypot(seen.mean, pace.bias.mean, state.inherited)
+    wider = math.hypot(max(math.sqrt(2.0) * error, seen.variance), pace.bias.variance)
     state = state._replace(
         points=ends[0], shadow=ends[1], size=count, told=told, pace=pace, age=state.age + 1
     )

@@ -169,7 +169,8 @@ def _by_cloud(
     """Carry as many points as the target asks for."""
     points = needs.cloud(target, density.dim)
     moved, info = cloud.propagate(density, model, t1, CloudScheme(n_points=points), target=target)
-    return moved.noted(needs=needs), as_asked(info, target)
+    own = as_asked(info.noted(error=moved.error), target)  # what was wrong before, a reading has said
+    return moved.noted(needs=needs), own.noted(error=info.error)
 
 
 def _by_sums(
