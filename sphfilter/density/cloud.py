@@ -73,8 +73,19 @@ class Cloud(Kernels):
         at_points = function(self.x.copy())  # which a compiled function may not be given read-only
         own = float(self.mass @ at_points)
         scatter = max(self.mass @ (at_points - own) ** 2, w @ (values - smoothed) ** 2)
-        off = scatter * float(self.mass @ self.mass) / max((own - smoothed) ** 2, TINY)
-        return smoothed + max(1.0 - float(off), 0.0) * (own - smoothed)
+        return float(self._drawn(smoothed, own, scatter))
+
+    def distribution(self, y: Floats, F: Floats) -> Floats:
+        """Distribution function F (K,) of kernels at places (K,) of one state, drawn to that of points."""
+        order = np.argsort(self.x[:, 0])
+        below = np.searchsorted(self.x[order, 0], y, side="right")
+        own = np.append(0.0, np.minimum(np.cumsum(self.mass[order]), 1.0))[below]
+        return np.maximum.accumulate(self._drawn(F, own, np.maximum(own * (1.0 - own), F * (1.0 - F))))
+
+    def _drawn(self, smoothed: Any, own: Any, scatter: Any) -> Any:
+        """Expectations of kernels drawn to those of points, of functions that scatter so much (variance)."""
+        off = scatter * float(self.mass @ self.mass) / np.maximum((own - smoothed) ** 2, TINY)
+        return smoothed + np.maximum(1.0 - off, 0.0) * (own - smoothed)
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         """Fields of the points along some axes, by name."""

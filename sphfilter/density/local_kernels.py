@@ -88,8 +88,9 @@ def local_kernels(x: Floats, mass: Floats) -> LocalKernels | None:
     w, z, C = _grouped(z @ np.linalg.inv(within).T, mass)
     m, S, number = np.empty_like(z), np.empty_like(C), np.empty_like(w)
     seen(w, z, h, m, S, number)
-    flat = one - S / h**2  # what groups hide of the points is put back
-    m, S = m - np.einsum("kab,kbc,kc->ka", flat, C, m) / h**2, S + flat @ C @ flat
+    flat = one - S / h**2  # what groups hide of the points is put back, as far as one sees in them
+    hidden = C @ np.linalg.inv(one + C / h**2)
+    m, S = m - np.einsum("kab,kbc,kc->ka", flat, hidden, m) / h**2, S + flat @ hidden @ flat
     part = (number / (number + 0.5 * (n + 1)))[:, None, None]
     values, axes = np.linalg.eigh(part * S + (1.0 - part) * h**2 * one)
     A: Any = (axes * np.sqrt(values / h**2)[:, None]) @ axes.transpose(0, 2, 1)

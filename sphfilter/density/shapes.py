@@ -85,6 +85,10 @@ class Shape(Protocol):
         """Expectation of a function, by its `states`."""
         return float(w @ function(X))
 
+    def distribution(self, y: Floats, F: Floats) -> Floats:
+        """Distribution function (K,) of one state at places (K,), where F (K,) is the integral of the pdf."""
+        return F
+
     def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
         """Quasi-random points (count, n) by a key, and their weights (count,)."""
 

@@ -183,7 +183,7 @@ def _distribution(one: "ParticleDensity") -> tuple[Floats, Floats]:
     y = np.linspace(low, high, max(count, _FINE) + 1)
     F = integrate.cumulative_simpson(one.pdf(y[:, None]), x=y, initial=0.0)
     F = np.maximum.accumulate(F)  # parabolas through nothing but zeros and a first value undershoot
-    return y, F / F[-1]
+    return y, one.form.distribution(y, F / F[-1])
 
 
 def error_of(density: "ParticleDensity", question: Answer) -> Floats:

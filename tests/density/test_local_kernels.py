@@ -73,3 +73,14 @@ def test_few_equal_and_flat_points():
         assert isinstance(density.form.mixture, LocalKernels) and np.isfinite(density.logpdf(x)).all()
     flat = cloud(np.column_stack([few[:, 0], 2.0 * few[:, 0]]))
     assert not isinstance(flat.form.mixture, LocalKernels) and (flat.pdf(flat.x) > 0.0).all()
+
+
+@pytest.mark.parametrize("count", [2048, 32_768])
+def test_a_heavy_tail_makes_no_other_kernels_wide(count):
+    """A lognormal, σ = 1.5: groups of points in its tail spread by more than kernels look about."""
+    u = (np.arange(count) + 0.5) / count
+    density, p = cloud(np.exp(1.5 * stats.norm.ppf(u))[:, None]), np.array([0.02, 0.1, 0.5, 0.9, 0.99])
+    exact = np.exp(1.5 * stats.norm.ppf(p))
+    np.testing.assert_allclose(density.quantile(0, p), exact, rtol=0.1, atol=0.04)
+    for q, below in zip(exact, p, strict=True):
+        assert density.probability(lambda X, q=q: X[:, 0] < q) == pytest.approx(below, abs=0.01)

@@ -337,3 +337,18 @@ def test_chance_of_noise_that_depends_on_the_state_is_no_bias(key):
     points = points_of_gaussian([0.0, -1.0], np.diag([0.1, 0.4]), 4096, key)
     steps, bias, _ = chosen_steps(points, model, (0.0, 0.5), Steps(1), (1, 10_000), 0.002)
     assert steps.number <= 10 and bias.mean <= 0.002 and not steps.stiff
+
+
+def test_a_prediction_tells_what_it_leaves_of_the_error_before_it():
+    """All of it where nothing moves (a fifth was told), and less of states that forget."""
+    about = {"x0": [0.5, 0.0], "P0": 4.0 * np.eye(2), "config": sf.FilterConfig(target_error=0.1)}
+    for rate, least, most in ((0.0, 0.9, 1.1), (3.0, 0.0, 0.8)):
+        flt = sf.SPHFilter(sf.LinearSDE(-rate * np.eye(2), noise=rate * np.eye(2)), None, **about)
+        for t, (a, b), z in ((0.01, (0.0, 0.0), 0.72), (0.02, (3.0, 0.0), 2.43)):
+            flt.predict(t=t)
+            text = f"sqrt((x - {a})**2 + (y - {b})**2)"
+            told = flt.update([z], sf.GaussianMeasurement.from_expressions(["x", "y"], [text], [[4e-4]]))
+        ahead = flt.predict(t=2.0)
+        assert told.error > 0.05
+        assert least * told.error <= ahead.error <= most * told.error
+        assert ahead.variance_error >= np.sqrt(2.0) * ahead.error
