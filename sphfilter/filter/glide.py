@@ -209,9 +209,8 @@ def _usual(filt: Any) -> bool:
         own = sensor.H is None or not sensor.angles  # else it sums in an order of its own
     usual = plain and filt.adapts and own and filt.model.domain.unbounded and not filt._steps
     usual = usual and density.left_out is None  # which steps carry
-    if density.cloud is None:
-        return bool(usual and _begins(filt))
-    return bool(usual and density.needs is not None and density.cloud.begins)
+    known = density.needs is not None
+    return bool(usual and (_begins(filt) if density.cloud is None else known and density.cloud.begins))
 
 
 def _begins(filt: Any) -> bool:

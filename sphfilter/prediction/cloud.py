@@ -69,24 +69,22 @@ def propagate(
     moved = carried_cloud(state, model, span, scheme, target, density.domain)
     capacity = density.capacity if n_particles is None else n_particles
     new = cloud_of(density, moved.state, moved.moments, t=float(t1), capacity=capacity, error=moved.error)
-    error = max(moved.error, _of_before(density, moved))
+    error = max(moved.error, _of_before(density.error, state.points.x, moved))
     wider = max(moved.variance_error, math.sqrt(2.0) * error)
     return new, info_of(model, scheme.n_points, moved.steps, moved.lost, error, wider)
 
 
-def _of_before(density: ParticleDensity, moved: "Carried") -> float:
-    """What a prediction leaves of the error that a cloud's mean had before it, in standard deviations.
+def _of_before(error: float, x: Floats, moved: "Carried") -> float:
+    """What a prediction leaves of an error that a cloud of states x (N, n) had, in standard deviations.
 
     A cloud and its shadow know what each of them misses, and not what the readings have left to both.
     """
     points = moved.state.points
-    if density.cloud is None or points.path is None or not density.error > moved.error:
+    if points.path is None or not error > moved.error:
         return 0.0
-    first = len(points.path.passages) == 2  # what has parted copies, and this prediction
-    x = points.path.x if first else density.cloud.points.x
-    if len(x) != len(points.x):
-        return density.error
-    return density.error * kept(x, points.x, points.w, moved.moments[1])
+    if len(points.path.passages) == 2:  # what has parted copies, and this prediction
+        x = points.path.x
+    return error * kept(x, points.x, points.w, moved.moments[1]) if len(x) == len(points.x) else error
 
 
 class Carried(NamedTuple):

@@ -352,3 +352,15 @@ def test_a_prediction_tells_what_it_leaves_of_the_error_before_it():
         assert told.error > 0.05
         assert least * told.error <= ahead.error <= most * told.error
         assert ahead.variance_error >= np.sqrt(2.0) * ahead.error
+
+
+def test_a_rate_that_some_points_make_too_fast_for_the_steps_loses_none_of_them():
+    """Steps that its mean asks for throw out those of rates beyond e⁴, and half as long ones do, too."""
+    model = sf.SDE.from_expressions(["x", "a"], ["-exp(a)*x", "0"], [["0.3"], ["0"]])
+    start = sf.initialize(sf.Gaussian([0.0, 0.0], np.diag([0.5, 4.0])), 200)
+    density, info = sf.predict(start, model, 0.5, sf.FilterConfig(scheme="cloud"))
+    rates = np.exp(2.0 * stats.norm.ppf((np.arange(20_000) + 0.5) / 20_000))
+    kept = np.exp(-2.0 * rates * 0.5)
+    assert info.mass_error == 0.0
+    assert density.cov()[0, 0] == pytest.approx(np.mean(0.5 * kept + 0.045 * (1.0 - kept) / rates), rel=0.03)
+    assert density.cov()[1, 1] == pytest.approx(4.0, rel=0.01)

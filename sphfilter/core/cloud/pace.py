@@ -85,7 +85,7 @@ def tried(motion, span, cloud, key, curve, begin, bounds, allowed):
         flow = stiff_flow if stiff else leg.flow
         steps, half = over(leg, flow, *span, number), over(leg, flow, *span, 2 * number)
         coarse, fine = moved_twice(steps, half, np.concatenate((x, ends)), own)
-        alone = 0.0 if stiff else thrown(coarse, fine, w[far])
+        alone = 0.0 if stiff else _alone((steps, half, stiff_flow), coarse, fine, (ends, w[far]), own)
         coarse, fine = coarse[: len(x)], fine[: len(x)]
         ends_of = eighths_of(fine, _GROUPS)
         apart, chance = parted(coarse, fine, ends_of)
@@ -115,6 +115,18 @@ def tried(motion, span, cloud, key, curve, begin, bounds, allowed):
             before, best = too_much, number
         number, again = more, True
     return number, stiff, Bias(np.inf, np.inf), 0.0, astray
+
+
+@jit
+def _alone(motion, coarse, fine, last, key):
+    """The result of `thrown`, of the last points that have weights, whatever steps throw them out."""
+    (steps, half, stiff_flow), (ends, w) = motion, last
+    alone, gone = thrown(coarse, fine, w)
+    if gone:  # by half as long steps, too, unless the model does it
+        steady = over(steps, stiff_flow, steps.t, steps.t + steps.steps * steps.h, steps.steps)
+        fine[len(fine) - len(ends) :] = moved_twice(steady, half, ends, key)[0]
+        alone, _ = thrown(coarse, fine, w)
+    return alone
 
 
 @jit
@@ -153,9 +165,10 @@ def thrown(coarse, fine, w):
 
     It is of what their ends (K, n) lie beyond all of the fine ones. A few dozen points do not see what steps
     do to the farthest of many: those that are too long for a drift that pulls harder there throw them out.
+    And whether fine ends of the last lie beyond those of the others by more than these are apart.
     """
     K, n = fine.shape
-    most = 0.0
+    most, gone = 0.0, False
     for a in range(n):
         first, last, _ = eighths(fine[:, a], 1)
         spread = max(last - first, ROUNDING * abs(first), TINY)
@@ -164,10 +177,11 @@ def thrown(coarse, fine, w):
             if abs(fine[i, a] - first) < AWAY * spread:  # else it is given up
                 low, high = min(low, fine[i, a]), max(high, fine[i, a])
         for j in range(K - w.size, K):
+            gone |= not abs(2.0 * fine[j, a] - low - high) <= 3.0 * (high - low)
             off = max(low - coarse[j, a], coarse[j, a] - high) / spread
             if low <= fine[j, a] <= high and not off <= 0.0:
                 most = max(most, w[j - K + w.size] * off * off if off < np.inf else np.inf)
-    return most
+    return most, gone
 
 
 @jit
