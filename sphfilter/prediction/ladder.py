@@ -28,6 +28,7 @@ from ..model.sde import SDE
 from . import automatic, chapman_kolmogorov, cloud, family, pieces
 from ._shared import Predicted
 from .again import MOST_WORK
+from .escape import escaped
 from .to_target import Time, carried_to_target
 
 Found = TypeVar("Found")
@@ -146,6 +147,9 @@ def _by_family(
         moved, info = family.carried_family(density, model, t1, scheme, density.capacity or 0, most)
         return (moved, info), math.sqrt(max(info.error**2 - density.error**2, 0.0))
 
+    allowed = error_budget(density.error, target) * needs.shared
+    if escaped(density, model, t1) > math.sqrt(2.0) * allowed:
+        return None
     best = best_family(density, target, needs, first_degree(density.dim, needs), carried)
     if best is None:
         return None
