@@ -20,11 +20,12 @@ _FAR = 3.0  # times the edge of a density, where wells are looked for: of U ≈ 
 def escaped(density: ParticleDensity, model: SDE, t1: float) -> float:
     """Part by which what leaves the well of a density of one state until t1, seconds, widens its variance.
 
-    The model is taken as it is now. Zero in more states, and where no well lies beyond the nodes of a family.
+    The model is taken as it is now. Zero in more states, in a domain (on a circle the next may be the same),
+    and where no well lies beyond the nodes of a family.
     (C. Gardiner, "Stochastic Methods", 4th ed. 2009, 5.5: the mean first-passage time; what has left is in
     another well, twice as far off as the barrier.)
     """
-    if density.dim != 1:
+    if density.dim != 1 or not model.domain.unbounded:
         return 0.0
     mean, cov = (float(part.item()) for part in moments_on_line(density))
     left, reach = 0.0, EDGE * math.sqrt(cov)

@@ -36,6 +36,10 @@ def test_what_has_no_other_well_leaves_nothing():
     assert escaped(sf.initialize(sf.Gaussian([0.0], [[0.5]]), 60), line, 10.0) == 0.0
     wide = sf.initialize(sf.Gaussian([0.0], [[1.0]]), 60)  # it has both
     assert escaped(wide, WELLS, 10.0) == 0.0
+    circle = sf.SDE.from_expressions(
+        ["x"], ["-sin(x)"], [["1"]], domain=sf.Domain(("periodic", -np.pi, np.pi))
+    )
+    assert escaped(sf.initialize(sf.Gaussian([0.0], [[0.1]]), 60), circle, 10.0) == 0.0
     plane = sf.LinearSDE(-np.eye(2), noise=np.eye(2))
     assert escaped(sf.initialize(sf.Gaussian([0.0, 0.0], np.eye(2)), 60), plane, 10.0) == 0.0
 
