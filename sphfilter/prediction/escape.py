@@ -42,13 +42,10 @@ def escaped(density: ParticleDensity, model: SDE, t1: float) -> float:
 
 def _passage(y: Floats, f: Floats, D: Floats, barrier: int) -> float:
     """Mean time until a state that begins at zero first passes a barrier, one of places y (K,), seconds."""
+    from scipy.integrate import cumulative_trapezoid  # on use: import time
+
     y, f, D = y[: barrier + 1], f[: barrier + 1], D[: barrier + 1]
-    U = -_integral(y, f / D)
-    U = np.minimum(U - U.min(), LARGEST_EXPONENT)
-    inside = _integral(y, np.exp(-U) / D)
-    return float(_integral(y, np.where(y > 0.0, np.exp(U) * inside, 0.0))[-1])
-
-
-def _integral(y: Floats, values: Floats) -> Floats:
-    """Integral (K,) of values (K,) from the first of places y (K,) on."""
-    return np.append(0.0, np.cumsum(0.5 * np.diff(y) * (values[1:] + values[:-1])))
+    U = -cumulative_trapezoid(f / D, y, initial=0.0)
+    U = np.minimum(U - U.min(), 0.5 * LARGEST_EXPONENT)  # forever, and of times it a number is left
+    inside = cumulative_trapezoid(np.exp(-U) / D, y, initial=0.0)
+    return float(cumulative_trapezoid(np.where(y > 0.0, np.exp(U) * inside, 0.0), y)[-1])

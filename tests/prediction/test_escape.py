@@ -34,12 +34,12 @@ def test_the_time_to_the_barrier():
 def test_what_has_no_other_well_leaves_nothing():
     line = sf.SDE.from_expressions(["x"], ["-x"], [["1"]])
     assert escaped(sf.initialize(sf.Gaussian([0.0], [[0.5]]), 60), line, 10.0) == 0.0
-    wide = sf.initialize(sf.Gaussian([0.0], [[1.0]]), 60)  # it has both
-    assert escaped(wide, WELLS, 10.0) == 0.0
-    circle = sf.SDE.from_expressions(
-        ["x"], ["-sin(x)"], [["1"]], domain=sf.Domain(("periodic", -np.pi, np.pi))
-    )
+    assert escaped(sf.initialize(sf.Gaussian([0.0], [[1.0]]), 60), WELLS, 10.0) == 0.0  # it has both
+    around = sf.Domain(("periodic", -np.pi, np.pi))
+    circle = sf.SDE.from_expressions(["x"], ["-sin(x)"], [["1"]], domain=around)
     assert escaped(sf.initialize(sf.Gaussian([0.0], [[0.1]]), 60), circle, 10.0) == 0.0
+    still = sf.SDE.from_expressions(["x"], ["x - x**3"], [["1e-3"]])  # a barrier of 5e5 nats
+    assert escaped(sf.initialize(sf.Gaussian([1.0], [[0.02]]), 60), still, 10.0) < 1e-100
     plane = sf.LinearSDE(-np.eye(2), noise=np.eye(2))
     assert escaped(sf.initialize(sf.Gaussian([0.0, 0.0], np.eye(2)), 60), plane, 10.0) == 0.0
 

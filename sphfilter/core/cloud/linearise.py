@@ -32,7 +32,7 @@ def widths(x, lineage, power):
     n, N = x.shape
     size, count = block_size(N), lineage.max() + 1
     out, sums, members = np.empty(-(-N // size)), np.empty((count, n)), np.zeros(count, np.int64)
-    own = np.empty(size, np.int64)
+    own, variances = np.empty(size, np.int64), np.empty(n)
     for b in range(out.size):
         first, last = b * size, min((b + 1) * size, N)
         K, lineages = last - first, 0
@@ -53,40 +53,35 @@ def widths(x, lineage, power):
             variance, between = square - mean * mean, -mean * mean
             for j in range(lineages):
                 between += sums[own[j], a] ** 2 / (members[own[j]] * K)
-            if variance > ROUNDING * square:
-                ratio += between / (variance * n)
+            variances[a] = variance if variance > ROUNDING * square else np.inf
+            ratio += between / (variances[a] * n)
         for j in range(lineages):
             members[own[j]] = 0
         # of as many points as lineages the means part by chance, too
         chance = lineages / K
         ratio = min(max((ratio - chance) / max(1.0 - chance, 1e-9), 0.0), 1.0) if lineages < K else 0.0
-        narrower = 4.0 * (_within(x, first, last) + lineages**-2.0)  # of two nothing is within
+        narrower = 4.0 * (_within(x, first, last, variances) + lineages**-2.0)  # of two nothing is within
         out[b] = min(math.sqrt(max(K**-power, ratio * lineages**-power) * min(narrower, 1.0)), 1.0)
     return out
 
 
 @jit
-def _within(x, first, last):
-    """Part of the variance of consecutive points of x (n, N) that is within the two groups they fall into.
+def _within(x, first, last, variances):
+    """Part of the variances (n,) of consecutive points of x (n, N) that is within two groups of neighbours.
 
-    They do where neighbours are farthest apart; of the states the least counts. It is 1/4 of an even patch.
+    They part where neighbours are farthest apart; of the states the least counts. It is 1/4 of an even patch.
     """
     n, K, at, most, least = len(x), last - first, first + 1, -1.0, 1.0
-    total = np.empty(n)
-    for a in range(n):
-        values = stretch(x, a, first, K)
-        mean, square = summed(values) / K, dot(values, values) / K
-        total[a] = square - mean * mean if square - mean * mean > ROUNDING * square else np.inf
     for i in range(first + 1, last):
         step = 0.0
         for a in range(n):
-            step += (x[a, i] - x[a, i - 1]) ** 2 / total[a]
+            step += (x[a, i] - x[a, i - 1]) ** 2 / variances[a]
         if step > most:
             at, most = i, step
     size = at - first
     for a in range(n):
         off = summed(stretch(x, a, at, last - at)) / (last - at) - summed(stretch(x, a, first, size)) / size
-        least = min(least, 1.0 - off * off * size * (last - at) / (K * K * total[a]))
+        least = min(least, 1.0 - off * off * size * (last - at) / (K * K * variances[a]))
     return max(least, 0.0)
 
 
