@@ -19,6 +19,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from ._jit import BATCH, BATCH_FUNCTION
+from ._linking import alone, is_linked
 
 #: Type of what `address_of` returns.
 ADDRESS = types.uint64
@@ -65,8 +66,10 @@ class Entry:
 
 
 def _compiled(function, arguments):
-    if arguments not in function.overloads:
-        function.compile(arguments)
+    found = function.overloads.get(arguments)
+    if found is None or is_linked(found):
+        with alone():
+            function.compile(arguments)
     return function.overloads[arguments]
 
 

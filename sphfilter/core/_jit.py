@@ -14,9 +14,11 @@ from types import FunctionType
 from numba import get_num_threads, njit, types
 
 from ._compiling import find_folder, listen
+from ._linking import Jitted, install
 
 find_folder()
 listen()
+install()
 
 #: Signature of every compiled model function: ``fill(x, t, p, out)`` writes one row of ``out`` (N, k)
 #: for each row of ``x`` (N, n) at time ``t`` with parameters ``p``.
@@ -56,14 +58,21 @@ def _named_for_the_cache(function):
     return function
 
 
+def _jitted(function, cached, **options):
+    options = {"nopython": True, "boundscheck": None, "error_model": "numpy"} | options
+    made = Jitted(_named_for_the_cache(function), targetoptions=options)
+    if cached:
+        made.enable_caching()
+    return made
+
+
 def jit(function):
     """Compile lazily, in nopython mode; division by zero gives inf, as in numpy.
 
     Cached on disk, but for private functions: their code is part of those that call them.
     """
     private = function.__name__.startswith("_")
-    options = {"cache": not private, "error_model": "numpy", "no_cfunc_wrapper": True}  # C does not call them
-    return njit(_named_for_the_cache(function), **options)
+    return _jitted(function, not private, no_cfunc_wrapper=True)  # C does not call them
 
 
 def parallel_jit(function):
@@ -78,8 +87,10 @@ def parallel_jit(function):
 
 def jit_for(signature, function):
     """Compile for one signature, now (or load): calls convert jitted functions and look nothing up."""
-    copy = _named_for_the_cache(_copy(function, "_signed"))
-    return njit(signature, cache=True, error_model="numpy", nogil=True)(copy)
+    made = _jitted(_copy(function, "_signed"), True, nogil=True)
+    made.compile(signature)
+    made.disable_compile()
+    return made
 
 
 def start_threads():
