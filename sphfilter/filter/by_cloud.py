@@ -118,7 +118,7 @@ def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading |
     else:  # none of the few sees the reading: a part of the many goes on beside them
         shadow = _part_of(points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
-    numbers = found.effective, found.of_variance, state.size
+    numbers = found.effective, found.of_variance, found.outermost, state.size
     errors = errors_told(told.mean, told.variance, *numbers, state.pace.bias)
     pace = Pace(state.pace.step, state.pace.stiff)
     state = state._replace(points=points, shadow=shadow, told=told, pace=pace)

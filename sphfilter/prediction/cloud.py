@@ -16,6 +16,7 @@ from ..core.cloud.control import (
     step_after,
     steps_of_shadow,
 )
+from ..core.cloud.lineages import outermost
 from ..core.cloud.pace import FIRST_TRIED, MOST_LOST, Bias, Steps
 from ..core.cloud.weights import AWAY, any_beyond, compared, near_others
 from ..core.limits import LOOK, SAID
@@ -127,7 +128,8 @@ def carried_cloud(
     off = squared_differences(ends[0], ends[1], domain, sums)
     seen = told.after(*off).errors
     error = math.hypot(seen.mean, pace.bias.mean, state.inherited)
-    wider = math.hypot(max(math.sqrt(2.0) * error, seen.variance), pace.bias.variance)
+    beyond = outermost(columns(ends[0].x), ends[0].w, *sums[0])
+    wider = math.hypot(max(math.sqrt(2.0) * error, seen.variance, beyond), pace.bias.variance)
     state = state._replace(
         points=ends[0], shadow=ends[1], size=count, told=told, pace=pace, age=state.age + 1
     )

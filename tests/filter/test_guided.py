@@ -8,10 +8,10 @@ from scipy.stats import norm
 import sphfilter as sf
 from sphfilter.core.cloud.control import least_error
 from sphfilter.core.cloud.guide import Ahead, look_ahead
-from sphfilter.core.cloud.lineages import LINES, carriers, of_variances
+from sphfilter.core.cloud.lineages import LINES, carriers, of_variances, outermost
 from sphfilter.core.cloud.pace import Steps
 from sphfilter.core.cloud.weights import for_moments
-from sphfilter.density.passage import moved_points, points_of_gaussian
+from sphfilter.density.passage import moved_points, points_of_gaussian, stored_key
 from sphfilter.density.points import NO_LINES, Carried, columns, moments
 from sphfilter.filter.bridged import bridged
 from sphfilter.filter.guided import piece_by_piece, weighed
@@ -307,6 +307,25 @@ def test_of_heavy_tails_few_points_know_the_variance():
     ):
         mean, cov = moments(x, w)
         assert of_variances(columns(x), w, mean, cov) == pytest.approx(number, rel=0.15)
+
+
+@pytest.mark.parametrize("target", [0.1, 0.01])
+@pytest.mark.parametrize("log_variance", [0.36, 1.0, 2.5])
+def test_a_variance_tells_what_lies_beyond_the_outermost_point(target, log_variance):
+    """Geometric Brownian motion without a drift: a lognormal law of mean one."""
+    model = sf.SDE.from_expressions(["x"], ["0"], [["x"]])
+    config = sf.FilterConfig(target_error=target)
+    flt = sf.SPHFilter(model, None, x0=[1.0], P0=[[1e-6]], config=config)
+    info = flt.predict(log_variance)
+    made = abs(flt.P[0, 0] / np.expm1(log_variance) - 1.0)
+    assert info.scheme == "cloud"
+    assert 0.5 * made < info.variance_error < 2.0 * made
+
+
+def test_of_a_gaussian_next_to_nothing_lies_beyond_the_outermost_point():
+    """Of N squares the largest is two above the next in the mean, four in one of seven cases."""
+    points = points_of_gaussian(np.zeros(2), np.eye(2), 512, stored_key(0, 0), 0)
+    assert outermost(columns(points.x), points.w, *moments(points.x, points.w)) < 2.0 * 4.0 / 512
 
 
 def test_copies_know_a_variance_no_better_than_what_they_are_copies_of():

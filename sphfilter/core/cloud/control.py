@@ -140,14 +140,15 @@ def is_better(one, other):
 
 
 @register_jitable
-def errors_told(mean, variance, number, of_variance, size, bias):
+def errors_told(mean, variance, number, of_variance, outermost, size, bias):
     """Errors of mean and variances: what a shadow shows (squares), at least that of few points, and a `Bias`.
 
-    As many of a cloud's points as a number count for the mean, and as another for the variances.
+    As many of a cloud's points as a number count for the mean, and as another for the variances, of which a
+    part is beyond the outermost.
     """
     root = math.sqrt(2.0)  # of what a mean is off by, a variance is, where nothing more is known
     least = least_error(number, size)
-    wider = max(error_by(variance), root * max(least, least_error(of_variance, size)))
+    wider = max(error_by(variance), root * max(least, least_error(of_variance, size)), outermost)
     return both(max(error_by(mean), least), bias.mean), both(wider, bias.variance)
 
 

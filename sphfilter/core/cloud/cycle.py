@@ -130,7 +130,7 @@ def put_through(parts, motion, sensor, spans, standing, bounds, curve):
         few = over(own, own.flow, *span, fewer)
         one, two = _both(about, few, s, curve)
         ahead, squares = _told(s, one, two, count)
-        numbers = one.found.effective, one.found.of_variance, count
+        numbers = one.found.effective, one.found.of_variance, one.found.outermost, count
         error[j], wider[j] = control.errors_told(*squares[:2], *numbers, bias)
         if not (one.usual and two.usual and error[j] == error[j]):
             end = UNUSUAL
