@@ -31,7 +31,7 @@ class _Waiting(event.Listener):
     """The functions that are being compiled, each waiting for the next; and whether a `Jitted` one does."""
 
     def __init__(self):
-        self.stack = [(None, False)]
+        self.stack = [(None, False)] * 2  # nothing waits for what is compiled without a word, as ufuncs are
 
     def on_start(self, event):
         function = event.data["dispatcher"]

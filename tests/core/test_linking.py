@@ -6,7 +6,7 @@ import sys
 from threading import Thread
 
 import numpy as np
-from numba import njit, types
+from numba import cfunc, njit, prange, types, vectorize
 
 from sphfilter.core._addresses import Entry
 from sphfilter.core._jit import jit
@@ -108,3 +108,26 @@ def test_threads_find_compiled_code():
     for thread in work:
         thread.join()
     assert sorted(np.sum(f) for f in found) == [6.0] * 4
+
+
+def test_what_numba_compiles_for_others_is_as_ever():
+    """Values that go by other ways than a jitted function's."""
+
+    @vectorize(["float64(float64)"])
+    def doubled(x):
+        return 2.0 * x
+
+    @cfunc("float64(float64)")
+    def halved(x):
+        return 0.5 * x
+
+    @njit(parallel=True)
+    def summed(x):
+        total = 0.0
+        for i in prange(len(x)):
+            total += doubled(x[i])
+        return total
+
+    assert doubled(3.0) == 6.0
+    assert halved.ctypes(3.0) == 1.5
+    assert summed(np.ones(4)) == 8.0
