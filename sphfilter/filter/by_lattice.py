@@ -37,6 +37,8 @@ def by_lattice(
         new, log_evidence, found = times_likelihood(density, *about)
         if found.off.edge > config.most_left_out and config.scheme == "auto":
             raise PropagationError("it ends where the likelihood becomes zero, and polynomials do not")
+        if found.between > 0.5 and config.scheme == "auto":
+            raise PropagationError("most of it lies between its nodes")
         evidence_error = found.off.log_mass
         if gaussian:  # a closed form knows better than a sum over nodes
             summed, log_evidence = log_evidence, asked.gaussian_evidence

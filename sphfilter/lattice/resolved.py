@@ -49,6 +49,7 @@ class Resolved(NamedTuple):
     left_out: float = 0.0
     times: int = 1  # the particles it may have
     felt: float = 0.0  # as what the probability left out counts, by how far away it is
+    between: float = 0.0  # what of it lies between the nodes
 
     @property
     def wrong(self) -> float:
@@ -113,7 +114,7 @@ def resolved(
     if best is None:
         assert not isinstance(laid, LatticeDensity)  # which would have been the best
         raise laid
-    return best
+    return best._replace(between=_between(best.laid, parts))
 
 
 def _good(tried: Resolved, search: Search, tail: float) -> bool:
@@ -152,14 +153,33 @@ def _left_out(laid: LatticeDensity, parts: list[_Part], tail: float) -> tuple[fl
     return most, max(most, float(counted / (1.0 + counted)))
 
 
+def _between(laid: LatticeDensity, parts: list[_Part]) -> float:
+    """Probability that lies between the nodes of a lattice, whose polynomials know nothing of it."""
+    most = -math.inf
+    for part in parts:
+        unknown = part.w @ (_above(laid, part) & ~_beside(laid, part))
+        most = max(most, math.log(max(unknown, TINY)) + part.log_mass - laid.log_mass)
+    return 1.0 / (1.0 + math.exp(min(-most, LARGEST_EXPONENT)))
+
+
 def _missing(laid: LatticeDensity, part: _Part) -> tuple[float, float]:
     """Share of a part that lies in cells without a node, or of which nothing is known; as what it counts."""
-    beside = ~lattice_field.inside_lattice(laid.field, moved_in(laid.walls, laid.field.A, part.x))
-    if part.log_p is not None:
-        below = part.log_p - laid.log_mass - lattice_field.log_p_at(laid.field, part.x) > HIGHER
-        beside = below if part.w @ below > part.w @ beside else beside
-    w, x = part.w[beside], part.x[beside]
+    beside, above = _beside(laid, part), _above(laid, part)
+    missing = above if part.w @ above > part.w @ beside else beside
+    w, x = part.w[missing], part.x[missing]
     return float(w.sum()), float(w @ felt(laid.mean, laid.cov, x))
+
+
+def _beside(laid: LatticeDensity, part: _Part) -> Any:
+    """Whether states (M,) of a part lie in cells without a node."""
+    return ~lattice_field.inside_lattice(laid.field, moved_in(laid.walls, laid.field.A, part.x))
+
+
+def _above(laid: LatticeDensity, part: _Part) -> Any:
+    """Whether the polynomials know nothing of states (M,) of a part: where its density is far above them."""
+    if part.log_p is None:
+        return np.zeros(len(part.x), dtype=bool)
+    return part.log_p - laid.log_mass - lattice_field.log_p_at(laid.field, part.x) > HIGHER
 
 
 def _overlooked(
