@@ -18,7 +18,7 @@ from ..density.passage import Use, age_of, stored_key
 from ..errors import PropagationError
 from ..model.measurements import block, is_gaussian
 from .inherited import evidence_error_by, evidence_error_of, shift_left_by_update
-from .reading_at_prior import Posterior, ReadingAtPrior, info_fields
+from .reading_at_prior import ReadingAtPrior, info_fields
 
 _LOOKED_AT, _FEW = 512, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
 #: Standard deviations that each point from which states explaining a reading are looked for stands for: one
@@ -28,12 +28,7 @@ _MORE, _NEGLIGIBLE = 2.0, 9.0  # in logarithms: of a posterior over its family, 
 _LOST = 1e3  # an error that is as bad as any
 
 
-def by_family(density: ParticleDensity, asked: ReadingAtPrior, degree: int, n_particles: int) -> Posterior:
-    """Prior times likelihood as a family of a degree; it raises as `family_update` does."""
-    return family_update(density, asked, degree, n_particles)[:2]
-
-
-def family_update(
+def by_family(
     density: ParticleDensity, asked: ReadingAtPrior, degree: int, n_particles: int, most: float = math.inf
 ) -> tuple[ParticleDensity, dict[str, Any], float]:
     """Posterior and what is said of it, and the error in standard deviations that it adds to the prior's.

@@ -17,7 +17,7 @@ from ..prediction.family import fits_density
 from ..prediction.ladder import becomes_cloud, best_family, first_degree, prefers_cloud
 from ..prediction.to_target import ORDER
 from .by_cloud import by_cloud
-from .by_family import family_update
+from .by_family import by_family
 from .by_lattice import by_lattice
 from .by_pieces import by_pieces
 from .inherited import left_by_update, shift_left_by_update
@@ -62,12 +62,12 @@ def _on_family(
         return None
 
     def updated(degree: int, most: float) -> tuple[Posterior, float]:
-        new, said, added = family_update(density, asked, degree, density.capacity or 0, most)
+        new, said, added = by_family(density, asked, degree, density.capacity or 0, most)
         return (new, said), added
 
     first = max(first_degree(density.dim, needs), 0 if density.gaussian else density.family.degree)
     first = first or (2 if density.gaussian and asked.linear else 0)  # Kalman's rule, of however many states
-    best = best_family(density, target, needs, first, updated)
+    best = best_family(density.dim, error_budget(density.error, target), first, updated)
     if best is None:
         return None
     (new, said), degree, _ = best

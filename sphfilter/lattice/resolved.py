@@ -80,14 +80,9 @@ def resolved(
     """Check a posterior against what is found between and beyond its nodes, and lay it again if need be.
 
     Returns the first lattice that holds and resolves all that was found, or the best of all. Where there was
-    none so far, the error that says why stands in its place; it is raised if nothing is found.
-
-    Parameters
-    ----------
-    product, log_weight : callable
-        States (M, n) to the logarithms (M,) of prior times likelihood, and of the likelihood.
-    bounds : tuple
-        Number of particles, and depth.
+    none so far, the error that says why stands in its place; it is raised if nothing is found. `product` and
+    `log_weight` take states (M, n) to the logarithms (M,) of prior times likelihood, and of the likelihood;
+    bounds are the number of particles, and depth.
     """
     x, mass, _ = prior
     tail = float(gammaincc(0.5 * x.shape[1], bounds[1]))  # beyond the cut of a Gaussian

@@ -66,22 +66,17 @@ def becomes_cloud(dim: int, needs: Memory, target: float) -> bool:
 
 
 def best_family(
-    density: ParticleDensity,
-    target: float,
-    needs: Memory,
-    first: int,
-    attempt: Callable[[int, float], tuple[Found, float]],
+    dim: int, allowed: float, first: int, attempt: Callable[[int, float], tuple[Found, float]]
 ) -> tuple[Found, int, float] | None:
     """The first degree of a family whose added error is allowed, else the best; None where none will do.
 
-    One that is somewhat off is taken where what comes next would not be better. Of a step that begins with a
-    density, `attempt` makes what comes of a degree, and the error that it adds, standard deviations, of the
-    most that it may; it may raise `PropagationError`. The degree `first` is tried first. Returns what came of
-    the step, its degree, and the error over its budget.
+    One that is somewhat off is taken where what comes next would not be better. Of a step, `attempt` makes
+    what comes of a degree, and the error that it adds, standard deviations, of the most that it may; it may
+    raise `PropagationError`. The degree `first` is tried first. Returns what came of the step, its degree,
+    and the error over what is allowed.
     """
-    allowed = error_budget(density.error, target) * needs.shared
-    best, most = None, tolerated_excess(density.dim) * allowed
-    for degree in (d for d in degrees(density.dim) if 0 < first <= d <= family.HIGHEST):
+    best, most = None, tolerated_excess(dim) * allowed
+    for degree in (d for d in degrees(dim) if 0 < first <= d <= family.HIGHEST):
         try:
             found, added = attempt(degree, most)
         except PropagationError:
@@ -150,7 +145,7 @@ def _by_family(
     allowed = error_budget(density.error, target) * needs.shared
     if escaped(density, model, t1) > math.sqrt(2.0) * allowed:
         return None
-    best = best_family(density, target, needs, first_degree(density.dim, needs), carried)
+    best = best_family(density.dim, allowed, first_degree(density.dim, needs), carried)
     if best is None:
         return None
     (moved, info), degree, used = best

@@ -41,24 +41,11 @@ def parts():
 
 @jit
 def march(parts, equations, cloud, domain, options, progress):
-    """Carry the cloud from progress.t to progress.t1, and keep `progress` up to date.
+    """Code of `STATUS` of carrying the cloud, in place, from progress.t to progress.t1.
 
-    Parameters
-    ----------
-    parts : Parts
-    equations : Equations
-    cloud : Cloud
-        Updated in place; on failure as far as it came.
-    domain : Domain
-    options, progress : record
-        `Options` and `Progress`, packed.
-
-    Returns
-    -------
-    int
-        Code of `STATUS`. "paused" asks to be called again: between calls Python can be interrupted.
-        "unsettled" asks so without the particles that it leaves without mass. On failure
-        ``progress.culprit`` is the particle.
+    `Options` and `Progress` are packed, and progress is kept up to date; on failure the cloud is as far as it
+    came, and ``progress.culprit`` is the particle. "paused" asks to be called again: between calls Python can
+    be interrupted. "unsettled" asks so without the particles that it leaves without mass.
     """
     near, work = _begin(parts, equations, cloud, domain, options, progress)
     first = progress.steps
