@@ -20,12 +20,7 @@ def merged(pieces: Pieces, most: float) -> tuple[Pieces, float]:
     """Merge pairs of pieces, the most alike first, until log p would change by more than `most`.
 
     How much it changes is the rms over the pair, with the changes of earlier mergers added; of light pieces
-    it may be more.
-
-    Returns
-    -------
-    Pieces, float
-        And the change of log p, averaged over the mass.
+    it may be more. Returns the pieces, and the change of log p, averaged over the mass.
     """
     total = np.logaddexp.reduce(pieces.log_w)
     debt, alive = np.zeros(len(pieces.log_w)), np.ones(len(pieces.log_w), dtype=bool)

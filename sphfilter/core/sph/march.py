@@ -70,22 +70,10 @@ def march(parts, equations, cloud, domain, options, progress):
 
 @jit
 def step(parts, equations, cloud, domain, near, work, options, progress):
-    """One step of 002 section 4.3, from progress.t over progress.dt.
+    """One step of 002 section 4.3, from progress.t over progress.dt; arguments as of `march`.
 
-    Parameters
-    ----------
-    parts, equations, cloud, domain, options, progress
-        As `march` takes them.
-    near : Near
-        What the particles saw in the step before.
-    work : Work
-
-    Returns
-    -------
-    near : Near
-        What they see in this one.
-    code : int
-        OK, NOT_FINITE, STALLED or UNSETTLED.
+    `near` is what the particles saw in the step before. Returns what they see in this one, and a code: OK,
+    NOT_FINITE, STALLED or UNSETTLED.
     """
     if progress.follows and _unsettled(parts, cloud, near, work, options, progress):
         return near, UNSETTLED
