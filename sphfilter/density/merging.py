@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .._types import Bools, Floats, Ints
-from .pieces import NEAR, Pieces, nodes, root_of
+from ..lattice.level_set import root_of
+from .pieces import NEAR, Pieces, nodes
 
 #: Part of the change of log p by mergers, that is an error of the mean. Measured: with half and twice errors
 #: are .9 to 1.1 times as large.

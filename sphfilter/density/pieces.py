@@ -12,8 +12,7 @@ from scipy.special import logsumexp
 from .._types import Bools, Floats, Ints
 from ..core.family.rules import rule as family_rule
 from ..core.limits import LOG_2_PI
-from ..errors import PropagationError
-from ..lattice.level_set import LatticeDensity
+from ..lattice.level_set import LatticeDensity, root_of
 from .family import laid_by
 from .points import moments_of_sum
 from .quasi_random import STATES, quasi_random, systematic
@@ -108,14 +107,6 @@ def nodes(n: int) -> tuple[Floats, Floats]:
     xi = np.vstack([np.zeros(n), axes, pairs])
     u = np.repeat([1.0 + (n * n - 7.0 * n) / 18.0, (4.0 - n) / 18.0, 1.0 / 36.0], [1, 2 * n, len(pairs)])
     return np.ascontiguousarray(xi[u > 0.0]), u[u > 0.0]
-
-
-def root_of(cov: Floats) -> Floats:
-    """Lower factors of covariances (..., n, n); raises `PropagationError` where one is flat."""
-    try:
-        return np.asarray(np.linalg.cholesky(cov), np.float64)
-    except np.linalg.LinAlgError:
-        raise PropagationError("a piece is flat along some combination of the states") from None
 
 
 def pieces_of(mean: Floats, cov: Floats) -> Pieces:

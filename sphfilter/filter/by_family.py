@@ -16,6 +16,7 @@ from ..density.family_posterior import family_posterior
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Use, age_of, stored_key
 from ..errors import PropagationError
+from ..lattice.level_set import root_of
 from ..model.measurements import block, is_gaussian
 from .inherited import evidence_error_by, evidence_error_of, shift_left_by_update
 from .reading_at_prior import ReadingAtPrior, info_fields
@@ -136,12 +137,7 @@ def _errors_beyond_nodes(
 
 def _moments(family: Family) -> tuple[Floats, Floats]:
     mean, cov = node_moments(family.nodes, family.weighted()[0])
-    try:
-        np.linalg.cholesky(cov)
-    except np.linalg.LinAlgError:
-        raise PropagationError(
-            "one family does not hold the density: few of its nodes have any weight"
-        ) from None
+    root_of(cov, "one family does not hold the density: few of its nodes have any weight")
     return mean, cov
 
 

@@ -51,6 +51,14 @@ def lattice_reach(scheme: object, n: int) -> float:
     return given or {1: 5.5, 2: 4.2}.get(n, 4.0)
 
 
+def root_of(cov: Floats, why: str = "a piece is flat along some combination of the states") -> Floats:
+    """Lower factors of covariances (..., n, n); raises `PropagationError` that says why where one is flat."""
+    try:
+        return np.asarray(np.linalg.cholesky(cov), np.float64)
+    except np.linalg.LinAlgError:
+        raise PropagationError(why) from None
+
+
 def gaussian_volume(n: int, depth: float) -> float:
     """Volume of the whitened ball in which a Gaussian's log p is at most `depth` below its largest."""
     return math.pi ** (n / 2) / math.gamma(n / 2 + 1) * (2.0 * depth) ** (n / 2)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.special import gammaincc
@@ -14,7 +14,7 @@ from ..core.limits import LARGEST_EXPONENT, ROUNDING, SAID, TINY
 from ..errors import PropagationError
 from . import field as lattice_field
 from .check import Misfit, felt, left_out, misfit
-from .level_set import LatticeDensity, lay
+from .level_set import LatticeDensity, lay, root_of
 from .peaks import Peak, along_axes, peaks
 from .posterior import within_pieces
 from .walls import between, inside, moved_in
@@ -180,7 +180,8 @@ def _overlooked(
         X = X[lattice_field.inside_lattice(field, X)]
     if not len(X):
         return []
-    values, factor = product(X), _root_of(cov)
+    values = product(X)
+    factor = root_of(cov, "the density is narrower than the digits of its mean can tell")
     if isinstance(laid, LatticeDensity):
         widest = values + np.log(np.sqrt(2.0 * math.pi) * np.diag(factor)).sum()  # no peak has more mass
         high = widest + np.log(felt(laid.mean, laid.cov, X)) > laid.log_mass + math.log(search.most_left_out)
@@ -194,14 +195,6 @@ def _overlooked(
     farthest = np.linalg.norm(np.linalg.solve(factor, (x - mean).T), axis=0).max()  # a tail is a guess
     found = peaks(product, X, values, factor)
     return [p for p in found if np.linalg.norm(np.linalg.solve(factor, p.x - mean)) < farthest]
-
-
-def _root_of(cov: Floats) -> Any:
-    """Lower factor of a covariance (n, n)."""
-    try:
-        return np.linalg.cholesky(cov)
-    except np.linalg.LinAlgError:
-        raise PropagationError("the density is narrower than the digits of its mean can tell") from None
 
 
 def _tries(

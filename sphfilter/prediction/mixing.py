@@ -32,13 +32,13 @@ from ..density.memory import Memory, min_nodes
 from ..density.merging import OF_CHANGE, merged
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Use, age_of, stored_key
-from ..density.pieces import Pieces, light, root_of
+from ..density.pieces import Pieces, light
 from ..density.points import moments_of_sum
 from ..density.resample import folded_logarithm
 from ..errors import PropagationError
 from ..lattice.check import misfit, remote
 from ..lattice.field import inside_lattice
-from ..lattice.level_set import lattice_reach, lay
+from ..lattice.level_set import lattice_reach, lay, root_of
 from ..lattice.resolved import MOST
 from . import family
 from .ladder import first_degree, prefers_cloud
