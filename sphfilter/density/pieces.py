@@ -20,7 +20,6 @@ from .shapes import Shape
 
 ENTRIES = 2**21  # of an array of states times pieces: 8 ENTRIES = 16 MB
 NEAR = 2.5  # widths of a piece within which neighbours' middles lie: 2 Φ(-2.5) = .012 of it lies beyond
-_OF_ONE = 5  # nodes of one state: Gauss's rule of so many is exact to degree 2 · 5 - 1 = 9
 
 
 class Pieces(NamedTuple):
@@ -98,7 +97,7 @@ def light(w: Floats, means: Floats, covs: Floats, least: float, away: float = 1.
 def nodes(n: int) -> tuple[Floats, Floats]:
     """Nodes (N, n) and positive weights (N,) exact to degree five under the standard normal law."""
     if n == 1:
-        points, weights = np.polynomial.hermite_e.hermegauss(_OF_ONE)
+        points, weights = np.polynomial.hermite_e.hermegauss(5)  # exact to degree 2 · 5 - 1 = 9
         return points[:, None], weights / weights.sum()
     if n > 4:  # where the short rule has weights below zero
         return family_rule(n, 2)

@@ -20,6 +20,7 @@ from ..core.field.stencils import stencils
 from ..core.field.walls import NO_WALLS, Walls
 from ..core.limits import ROUNDS
 from ..errors import PropagationError
+from .field import log_p_at
 from .flood import flood
 from .walls import near_walls
 
@@ -43,6 +44,10 @@ class LatticeDensity(NamedTuple):
     mean: Floats  # (n,)
     cov: Floats  # (n, n)
     walls: Walls = NO_WALLS  # where it ends
+
+    def log_p(self, X: Floats) -> Floats:
+        """Logarithm of the density at states (M, n), by its polynomials, shape (M,)."""
+        return log_p_at(self.field, X)
 
 
 def lattice_reach(scheme: object, n: int) -> float:

@@ -151,7 +151,7 @@ def _missing(laid: LatticeDensity, part: _Part) -> tuple[float, float]:
     """Share of a part that lies in cells without a node, or of which nothing is known; as what it counts."""
     beside = ~lattice_field.inside_lattice(laid.field, moved_in(laid.walls, laid.field.A, part.x))
     if part.log_p is not None:
-        below = part.log_p - laid.log_mass - lattice_field.log_p_at(laid.field, part.x) > HIGHER
+        below = part.log_p - laid.log_mass - laid.log_p(part.x) > HIGHER
         beside = below if part.w @ below > part.w @ beside else beside
     w, x = part.w[beside], part.x[beside]
     return float(w.sum()), float(w @ felt(laid.mean, laid.cov, x))
@@ -186,7 +186,7 @@ def _overlooked(
         widest = values + np.log(np.sqrt(2.0 * math.pi) * np.diag(factor)).sum()  # no peak has more mass
         high = widest + np.log(felt(laid.mean, laid.cov, X)) > laid.log_mass + math.log(search.most_left_out)
         X, values = X[high], values[high]
-        above = values - laid.log_mass - lattice_field.log_p_at(laid.field, X) > HIGHER
+        above = values - laid.log_mass - laid.log_p(X) > HIGHER
         X, values = X[above], values[above]
     elif values.max() < -1e200:
         return []

@@ -40,7 +40,6 @@ _AS_FAMILIES = {1: 2**9, 2: 2**9, 3: 2**9, 4: 2**8, 5: 2**12}  # and of more as 
 #: As long as a lattice that makes the same error, by states: of one it pays sooner, and knows its tails; of
 #: three and more never. And as families of five and six, of thousands of nodes. (Of the same command.)
 _AS_LATTICES = {1: 2**11, 2: 2**13}
-_LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 #: Evaluations of the drift that a lattice may take for each point of a usual cloud: 15 to 45 ns each, beside
 #: .6 µs of a point, or 5 to 15 times as long, for what it knows of tails. With five times as many three of
 #: eleven scenes took 1.5 to 2.5 times as long; with half a tail was lost, unsaid (`experiments benchmark`).
@@ -51,7 +50,7 @@ _FINER = 3  # times the nodes of a first lattice that loses probability
 def first_degree(dim: int, needs: Memory) -> int:
     """Degree that is tried first."""
     known = degrees(dim)
-    lowest = min((d for d in known if d >= _LOWEST.get(dim, 3)), default=0)
+    lowest = min((d for d in known if d >= (4 if dim <= 3 else 3)), default=0)
     return max(needs.degree, lowest) if lowest else 0
 
 
