@@ -39,7 +39,7 @@ class Budget:
     """
 
     def __init__(self, seconds: float | None) -> None:
-        self.seconds, self.spent = seconds, 0.0  # and of this step so far
+        self.seconds, self.spent = seconds, 0.0  # that a step may take, and that this one has taken so far
         self.prepared = seconds is None  # is everything compiled, so that what steps take is what they cost?
         self._began, self._most = 0.0, 0
         #: Of steps: particles, seconds for each, and whether it ended in time.
