@@ -86,7 +86,8 @@ class _Known:
         elif isinstance(thing, ModuleType):
             self._say("module", thing.__name__)
         elif isinstance(thing, CodeType):
-            self._code(thing)
+            self._say(thing.co_code, thing.co_names, thing.co_varnames)
+            self._each("constants", thing.co_consts)
         elif isinstance(thing, FunctionType | type):
             self._defined(thing)
         elif isinstance(thing, staticmethod | classmethod):
@@ -100,10 +101,6 @@ class _Known:
         self._say(kind, len(parts))
         for part in parts:
             self._add(part)
-
-    def _code(self, code: CodeType) -> None:
-        self._say(code.co_code, code.co_names, code.co_varnames)
-        self._each("constants", code.co_consts)
 
     def _defined(self, thing: Any) -> None:
         """A function, with what it refers to, or a class, with all that it defines."""

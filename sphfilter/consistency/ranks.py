@@ -47,19 +47,12 @@ class Ranked(Protocol):
 class Ranker:
     """Ranks measurements and truths in a filter's densities while it runs; the filter sees no truth.
 
-    Parameters
-    ----------
-    truth : array_like, shape (T, n)
-        True states at the measurement times.
-
-    Attributes
-    ----------
-    seconds : float
-        Time by `clock` spent on ranking, which is not the filter's.
+    The truth (T, n) is that at the measurement times.
     """
 
     def __init__(self, truth: ArrayLike) -> None:
-        self.truth, self.seconds = np.asarray(truth, dtype=float), 0.0
+        self.truth = np.asarray(truth, dtype=float)
+        self.seconds = 0.0  # by `clock`, spent on ranking, which are not the filter's
 
     def before(self, filt: Ranked, z: ArrayLike | None, k: int) -> tuple[Floats, Floats, Floats]:
         """Return what `ranked_reading` tells of the next measurement, k numbers, in the prediction."""

@@ -77,7 +77,7 @@ def as_polynomials(density: ParticleDensity, degree: int, most: float) -> Partic
 
 def _fitted(density: ParticleDensity, degree: int) -> tuple[Family, float] | None:
     """The family next to a density, and its misfit; None where there is none."""
-    if density.domain is not None and density.domain.walled.any():
+    if density.walls[0].size:
         return None
     if density.read_out != "cloud":
         return family_of(density, degree)

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .._types import Bools, Floats, Ints
-from .pieces import NEAR, Pieces, nodes, root_of
+from ..lattice.level_set import root_of
+from .pieces import NEAR, Pieces, nodes
 
 #: Part of the change of log p by mergers, that is an error of the mean. Measured: with half and twice errors
 #: are .9 to 1.1 times as large.
@@ -20,12 +21,7 @@ def merged(pieces: Pieces, most: float) -> tuple[Pieces, float]:
     """Merge pairs of pieces, the most alike first, until log p would change by more than `most`.
 
     How much it changes is the rms over the pair, with the changes of earlier mergers added; of light pieces
-    it may be more.
-
-    Returns
-    -------
-    Pieces, float
-        And the change of log p, averaged over the mass.
+    it may be more. Returns the pieces, and the change of log p, averaged over the mass.
     """
     total = np.logaddexp.reduce(pieces.log_w)
     debt, alive = np.zeros(len(pieces.log_w)), np.ones(len(pieces.log_w), dtype=bool)

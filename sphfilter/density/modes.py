@@ -33,24 +33,12 @@ def no_ripple(n: int) -> SplittingError:
 class ModeDensities:
     """p(x, i) = w_i p_i(x): the states of one time, in every mode.
 
-    Parameters
-    ----------
-    log_w : ndarray, shape (M,)
-        Logarithms of the modes' probabilities, but for a constant; minus infinity where there is none.
-    densities : sequence of ParticleDensity or None, length M
-        None only where the probability is zero.
-    splitting : ndarray, shape (M,), optional
-        Estimated errors of the densities that come from jumps between the modes, not those of the densities
-        themselves.
-    ripples : sequence of SplittingError, length M, optional
-        The part of `splitting` that the last prediction has added.
-    unsure : ndarray, shape (M,), optional
-        Variances of the errors that log_w has of the evidence that points have told; none where sums did.
-
-    Raises
-    ------
-    PropagationError
-        All probabilities are zero.
+    Logarithms log_w (M,) of the modes' probabilities may lack a constant; they are minus infinity where there
+    is none, and there alone a density may be None. `splitting` (M,) are estimated errors of the densities
+    that come from jumps between the modes, not those of the densities themselves, and `ripples` the part of
+    these that the last prediction has added; `unsure` (M,) are variances of the errors that log_w has of the
+    evidence that points have told; none where sums did. Raises `PropagationError` if all probabilities are
+    zero.
     """
 
     def __init__(

@@ -12,8 +12,7 @@ from scipy.special import logsumexp
 from .._types import Bools, Floats, Ints
 from ..core.family.rules import rule as family_rule
 from ..core.limits import LOG_2_PI
-from ..errors import PropagationError
-from ..lattice.level_set import LatticeDensity
+from ..lattice.level_set import LatticeDensity, root_of
 from .family import laid_by
 from .points import moments_of_sum
 from .quasi_random import STATES, quasi_random, systematic
@@ -21,7 +20,6 @@ from .shapes import Shape
 
 ENTRIES = 2**21  # of an array of states times pieces: 8 ENTRIES = 16 MB
 NEAR = 2.5  # widths of a piece within which neighbours' middles lie: 2 Φ(-2.5) = .012 of it lies beyond
-_OF_ONE = 5  # nodes of one state: Gauss's rule of so many is exact to degree 2 · 5 - 1 = 9
 
 
 class Pieces(NamedTuple):
@@ -99,7 +97,7 @@ def light(w: Floats, means: Floats, covs: Floats, least: float, away: float = 1.
 def nodes(n: int) -> tuple[Floats, Floats]:
     """Nodes (N, n) and positive weights (N,) exact to degree five under the standard normal law."""
     if n == 1:
-        points, weights = np.polynomial.hermite_e.hermegauss(_OF_ONE)
+        points, weights = np.polynomial.hermite_e.hermegauss(5)  # exact to degree 2 · 5 - 1 = 9
         return points[:, None], weights / weights.sum()
     if n > 4:  # where the short rule has weights below zero
         return family_rule(n, 2)
@@ -108,14 +106,6 @@ def nodes(n: int) -> tuple[Floats, Floats]:
     xi = np.vstack([np.zeros(n), axes, pairs])
     u = np.repeat([1.0 + (n * n - 7.0 * n) / 18.0, (4.0 - n) / 18.0, 1.0 / 36.0], [1, 2 * n, len(pairs)])
     return np.ascontiguousarray(xi[u > 0.0]), u[u > 0.0]
-
-
-def root_of(cov: Floats) -> Floats:
-    """Lower factors of covariances (..., n, n); raises `PropagationError` where one is flat."""
-    try:
-        return np.asarray(np.linalg.cholesky(cov), np.float64)
-    except np.linalg.LinAlgError:
-        raise PropagationError("a piece is flat along some combination of the states") from None
 
 
 def pieces_of(mean: Floats, cov: Floats) -> Pieces:

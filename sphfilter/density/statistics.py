@@ -65,19 +65,9 @@ class Region:
         return self.density.pdf(X) >= self.level
 
 
-def states(
-    density: "ParticleDensity", count: int = _SUBPOINTS, smooth: bool = False
-) -> tuple[Floats, Floats]:
-    """States (M, n) and weights (M,) whose sums are the expectations of a density; `count` a kernel.
-
-    Particles for "points"; else points spread evenly over kernels or cells, always the same ones.
-    """
-    return density.form.states(count, smooth)
-
-
 def expectation(density: "ParticleDensity", function: OfStates, smooth: bool = True) -> float:
     """Expectation of function(X (M, n)) -> (M,)."""
-    return density.form.expected(function, *states(density, smooth=smooth))
+    return density.form.expected(function, *density.form.states(_SUBPOINTS, smooth))
 
 
 def moment(density: "ParticleDensity", powers: Sequence[int], centre: Floats | None = None) -> float:
@@ -111,7 +101,7 @@ def quantile(density: "ParticleDensity", axis: int, probability: ArrayLike) -> A
     """Where one state's distribution function reaches `probability` (K,), counted from a domain's low end."""
     checked_axes([axis], density.dim)
     if density.read_out == "points":
-        X, w = states(density)
+        X, w = density.form.states(_SUBPOINTS, False)
         return weighted.quantile_of(X[:, axis], w, probability)
     probability = weighted.checked_part(probability)
     y, F = _distribution(density.marginal([axis]))
@@ -121,7 +111,7 @@ def quantile(density: "ParticleDensity", axis: int, probability: ArrayLike) -> A
 
 def entropy(density: "ParticleDensity") -> float:
     """-E[log p], nats."""
-    X, w = states(density, _FEW_SUBPOINTS, smooth=True)
+    X, w = density.form.states(_FEW_SUBPOINTS, True)
     if density.read_out == "points" and density.log_density is not None:
         return -float(w @ density.log_density)
     log_p = density.logpdf(X)
@@ -132,7 +122,7 @@ def entropy(density: "ParticleDensity") -> float:
 def highest_region(density: "ParticleDensity", probability: float) -> Region:
     """The region of highest density that holds a probability."""
     share = weighted.checked_part(probability)
-    X, w = states(density, _FEW_SUBPOINTS)
+    X, w = density.form.states(_FEW_SUBPOINTS, False)
     p = density.pdf(X)
     order = np.argsort(-p, kind="stable")
     p, w = p[order], w[order]
@@ -143,7 +133,7 @@ def highest_region(density: "ParticleDensity", probability: float) -> Region:
 
 def spread(density: "ParticleDensity") -> WeightedStates:
     """A density as `WeightedStates`: points in its cells or kernels, and how it is read between them."""
-    X, w = states(density, _FEW_SUBPOINTS)
+    X, w = density.form.states(_FEW_SUBPOINTS, False)
     return WeightedStates(X, w, density.logpdf)
 
 
@@ -156,7 +146,7 @@ def mode(density: "ParticleDensity") -> Floats:
     """The state of highest density, shape (n,): the best particle, then a simplex search from it."""
     from scipy import optimize  # on use: import time
 
-    X = states(density, _FEW_SUBPOINTS)[0] if density.read_out == "cloud" else density.x
+    X = density.form.states(_FEW_SUBPOINTS, False)[0] if density.read_out == "cloud" else density.x
     best = X[np.argmax(density.pdf(X))]
     simplex = np.vstack([best, best + 0.5 * np.median(density.h) * np.eye(density.dim)])
     found = optimize.minimize(
@@ -275,7 +265,7 @@ def pdf_error(density: "ParticleDensity") -> float:
     if density.cloud is None or density.read_out != "cloud":
         return math.nan
     shadow = _cloud(density, *density.cloud.shadow[:2])
-    X, w = states(density, _FEW_SUBPOINTS)
+    X, w = density.form.states(_FEW_SUBPOINTS, False)
     with np.errstate(invalid="ignore"):
         off = np.expm1(0.5 * (shadow.logpdf(X) - density.logpdf(X)))
     square = 0.5 * (w @ np.where(np.isnan(off), 0.0, off) ** 2)  # none of either beyond a wall

@@ -36,17 +36,11 @@ class Budget:
     """Wall-clock time of a step: a predict, and the updates before the next one.
 
     With `seconds` it is what a step may take; with None time is measured and nothing hangs on it.
-
-    Attributes
-    ----------
-    prepared : bool
-        Whether everything is compiled, so that what steps take is what they cost.
-    spent : float
-        Seconds of this step so far.
     """
 
     def __init__(self, seconds: float | None) -> None:
-        self.seconds, self.prepared, self.spent = seconds, seconds is None, 0.0
+        self.seconds, self.spent = seconds, 0.0  # that a step may take, and that this one has taken so far
+        self.prepared = seconds is None  # is everything compiled, so that what steps take is what they cost?
         self._began, self._most = 0.0, 0
         #: Of steps: particles, seconds for each, and whether it ended in time.
         self._costs: dict[str, deque[tuple[int, float, bool]]] = {}

@@ -16,9 +16,10 @@ from ..density.family_posterior import family_posterior
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Use, age_of, stored_key
 from ..errors import PropagationError
+from ..lattice.level_set import root_of
 from ..model.measurements import block, is_gaussian
 from .inherited import evidence_error_by, evidence_error_of, shift_left_by_update
-from .reading_at_prior import Posterior, ReadingAtPrior, info_fields
+from .reading_at_prior import ReadingAtPrior, info_fields
 
 _LOOKED_AT, _FEW = 512, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
 #: Standard deviations that each point from which states explaining a reading are looked for stands for: one
@@ -28,19 +29,14 @@ _MORE, _NEGLIGIBLE = 2.0, 9.0  # in logarithms: of a posterior over its family, 
 _LOST = 1e3  # an error that is as bad as any
 
 
-def by_family(density: ParticleDensity, asked: ReadingAtPrior, degree: int, n_particles: int) -> Posterior:
-    """Prior times likelihood as a family of a degree; it raises as `family_update` does."""
-    return family_update(density, asked, degree, n_particles)[:2]
-
-
-def family_update(
+def by_family(
     density: ParticleDensity, asked: ReadingAtPrior, degree: int, n_particles: int, most: float = math.inf
 ) -> tuple[ParticleDensity, dict[str, Any], float]:
     """Posterior and what is said of it, and the error in standard deviations that it adds to the prior's.
 
     Raises `PropagationError` if no family holds it, or the error of that would be above `most`.
     """
-    if density.read_out == "cloud" or (density.domain is not None and density.domain.walled.any()):
+    if density.read_out == "cloud" or density.walls[0].size:
         raise PropagationError(
             "one family does not hold this density, which has no smooth logarithm; use another scheme"
         )
@@ -141,12 +137,7 @@ def _errors_beyond_nodes(
 
 def _moments(family: Family) -> tuple[Floats, Floats]:
     mean, cov = node_moments(family.nodes, family.weighted()[0])
-    try:
-        np.linalg.cholesky(cov)
-    except np.linalg.LinAlgError:
-        raise PropagationError(
-            "one family does not hold the density: few of its nodes have any weight"
-        ) from None
+    root_of(cov, "one family does not hold the density: few of its nodes have any weight")
     return mean, cov
 
 

@@ -13,11 +13,10 @@ from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..info import DOUBTFUL, Code, may_be_off
 from ..lattice.resolved import MOST
-from ..prediction.family import fits_density
 from ..prediction.ladder import becomes_cloud, best_family, first_degree, prefers_cloud
 from ..prediction.to_target import ORDER
 from .by_cloud import by_cloud
-from .by_family import family_update
+from .by_family import by_family
 from .by_lattice import by_lattice
 from .by_pieces import by_pieces
 from .inherited import left_by_update, shift_left_by_update
@@ -32,7 +31,7 @@ def by_ladder(
     Where a lattice had to be taken, the posterior comes down to one family again if that holds it.
     """
     needs = (density.needs or Memory())._replace(legs=0)
-    walled = density.domain is not None and density.domain.walled.any()
+    walled = density.walls[0].size > 0
     by_cloud = density.field is None and not walled and prefers_cloud(density.dim, needs, target)
     if density.pieces is not None and asked.linear:
         return _on_pieces(density, asked, target, needs)
@@ -58,16 +57,16 @@ def _on_family(
     density: ParticleDensity, asked: ReadingAtPrior, target: float, needs: Memory
 ) -> Posterior | None:
     """The posterior as one family, of as high a degree as the error asks; None where none will do."""
-    if density.family is None or fits_density(density):
+    if density.family is None or density.walls[0].size:
         return None
 
     def updated(degree: int, most: float) -> tuple[Posterior, float]:
-        new, said, added = family_update(density, asked, degree, density.capacity or 0, most)
+        new, said, added = by_family(density, asked, degree, density.capacity or 0, most)
         return (new, said), added
 
     first = max(first_degree(density.dim, needs), 0 if density.gaussian else density.family.degree)
     first = first or (2 if density.gaussian and asked.linear else 0)  # Kalman's rule, of however many states
-    best = best_family(density, target, needs, first, updated)
+    best = best_family(density.dim, error_budget(density.error, target), first, updated)
     if best is None:
         return None
     (new, said), degree, _ = best

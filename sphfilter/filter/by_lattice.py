@@ -125,8 +125,6 @@ def would_widen(wider: float) -> str:
 
 def _extrapolated(prior: ParticleDensity, posterior: ParticleDensity) -> float:
     """Probability of a posterior where its prior has no particles."""
-    if prior.field is None:
-        return 0.0
     return extrapolated_mass(prior.field, posterior.x, posterior.mass, prior.walls)
 
 

@@ -10,7 +10,8 @@ from ..density.as_family import pieces_density
 from ..density.memory import error_budget
 from ..density.merging import OF_CHANGE, merged
 from ..density.particle_density import ParticleDensity
-from ..density.pieces import Pieces, root_of
+from ..density.pieces import Pieces
+from ..lattice.level_set import root_of
 from ..model.measurements import block, is_gaussian
 from .inherited import left_by_update
 from .reading_at_prior import Posterior, ReadingAtPrior, info_fields

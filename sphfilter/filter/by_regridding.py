@@ -24,22 +24,17 @@ def by_regridding(
         log_evidence = asked.gaussian_evidence
         if config.acceptance.on_reject == "resample":
             new, resampled = regrid(density, n_particles, config.scheme)
+    smallest = max(np.linalg.eigvalsh(new.cov())[0], TINY)  # variance along any direction
     return new, {
         "accepted": accepted,
         "log_evidence": log_evidence,
         "reason": reason,
         "error": np.nan,
         "evidence_error": np.nan,
-        "kernel_ratio": _kernel_ratio(new),
+        "kernel_ratio": float(new.kernel_variance * (new.mass @ new.h**2) / smallest),
         "resample": resampled,
         "scheme": getattr(config.scheme, "name", config.scheme),
     }
-
-
-def _kernel_ratio(density: ParticleDensity) -> float:
-    """Variance of the kernels over the smallest variance of the density along any direction."""
-    smallest = max(np.linalg.eigvalsh(density.cov())[0], TINY)
-    return float(density.kernel_variance * (density.mass @ density.h**2) / smallest)
 
 
 def _verdict(density: ParticleDensity, asked: ReadingAtPrior, settings: AcceptanceTest) -> tuple[bool, str]:

@@ -46,10 +46,7 @@ _COLUMNS = (
 class Glide:
     """Puts the readings of a record through a filter's cloud, as far as each is usual.
 
-    Parameters
-    ----------
-    filt : SPHFilter
-        Its density and log-evidence become those after the last reading that was put through.
+    Density and log-evidence of the `SPHFilter` become those after the last reading that was put through.
     """
 
     def __init__(self, filt: Any) -> None:
@@ -93,10 +90,6 @@ class _Reached(NamedTuple):
     needs: Memory
     rows: list[dict[str, Any]]
     t: float
-
-    def and_on(self, state: CloudState, needs: Memory, rows: list[dict[str, Any]], t: float) -> "_Reached":
-        """The state after more readings were put through, up to a time."""
-        return _Reached(state, needs, [*self.rows, *rows], t)
 
 
 class _Left(NamedTuple):
@@ -188,8 +181,8 @@ class _Run:
     def _put(self, found: Through, rows: list[dict[str, Any]], times: Floats) -> _Reached:
         """How far the record is, where compiled code has put it through so many readings."""
         told: dict[str, Any] = {"points": found.points, "calm": found.calm, "legs": 0, "age": found.state.age}
-        about = self.reached.needs._replace(**told), rows[: found.done], float(times[found.done])
-        return self.reached.and_on(found.state, *about)
+        needs, done = self.reached.needs._replace(**told), [*self.reached.rows, *rows[: found.done]]
+        return _Reached(found.state, needs, done, float(times[found.done]))
 
     def _added(self, found: Through, times: Floats, Z: Floats) -> float:
         """Error of the mean that the last reading put through has added."""

@@ -1,6 +1,6 @@
 """Names that a filter refuses, to be read, set or given, with what to use instead."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from difflib import get_close_matches
 
 from .. import validate
@@ -64,8 +64,7 @@ def check_assigned(name: str, cls: type, base: type) -> None:
     if name.startswith("_") or name in _SETTABLE:
         return
     subclasses = (parent for parent in cls.__mro__ if parent not in base.__mro__)
-    own = (known for parent in subclasses for known in _declared(parent))
-    if name in own:
+    if any(name in {*vars(kind), *vars(kind).get("__annotations__", {})} for kind in subclasses):
         return
     if name in _MIXED:
         raise ModelError(
@@ -93,7 +92,3 @@ def suggest_keyword(method: Callable[Given, Returned]) -> Callable[Given, Return
 
 
 _SETTABLE = "model", "measurement", "config", "dt", "n_particles", "log_evidence"
-
-
-def _declared(cls: type) -> Iterable[str]:
-    return {*vars(cls), *vars(cls).get("__annotations__", {})}

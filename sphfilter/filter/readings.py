@@ -31,17 +31,15 @@ def sensor_of(
             "a function stands in the place of the sensor, as in the update(z, HJacobian, Hx) of an EKF; "
             "nothing is linearised: give h alone, update(z, R, h), or a measurement=GaussianMeasurement(h, R)"
         )
-    if H is None and (given is None or hasattr(given, "log_likelihood") or not _numbers(given)):
+    if H is None and (
+        given is None or hasattr(given, "log_likelihood") or np.asarray(given).dtype.kind not in "iuf"
+    ):
         return checked_sensor(own if given is None else given, model)
     if not isinstance(own, GaussianMeasurement):
         more = ": give update(z, sensors[name].changed(R, H))" if isinstance(own, Sensors) else ""
         raise ModelError(f"R and H change a filter's own GaussianMeasurement, and this filter has none{more}")
     noise_cov: Any = given
     return checked_sensor(own.changed(noise_cov, H), model)
-
-
-def _numbers(given: Any) -> bool:
-    return np.asarray(given).dtype.kind in "iuf"
 
 
 def checked_sensor(measurement: Any, model: Dynamics | JumpMarkovModel) -> Sensor:

@@ -21,40 +21,24 @@ Carried = TypeVar("Carried", ParticleDensity, ModeDensities)
 
 @dataclass(frozen=True)
 class FilterState(Noted, Generic[Carried]):
-    """The state of a filter: its density, where that comes from, and what the last steps said.
-
-    Attributes
-    ----------
-    density : ParticleDensity or ModeDensities
-    origin : Prediction, Update, ModesPrediction or None
-        The step that the density comes from.
-    x, P, x_prior, P_prior, x_post, P_post : ndarray, shapes (n,), (n, n)
-        Mean and covariance now, after the last prediction and after the last update; read-only.
-    z, y, S : ndarray or None
-        Last measurement, its innovation and the covariance of that, NaN where no reading came.
-    log_likelihood, log_evidence : float
-        Log-evidence of the last measurement, and of all.
-    inputs : mapping of str to float
-        What the model's inputs were in the last prediction.
-    n_particles : int
-        Upper bound of the number of particles; of modes, those that time has left for each in the last
-        prediction, zero where it has left all that were asked for.
-    """
+    """The state of a filter: its density, where that comes from, and what the last steps said."""
 
     density: Carried
-    origin: Any
-    x: Floats
-    P: Floats
-    x_prior: Floats
+    origin: Any  # the step that the density comes from: a Prediction, Update, ModesPrediction, or None
+    x: Floats  # (n,), mean now; all moments are read-only
+    P: Floats  # (n, n), covariance
+    x_prior: Floats  # after the last prediction
     P_prior: Floats
-    x_post: Floats
+    x_post: Floats  # after the last update
     P_post: Floats
-    z: Floats | None = None
-    y: Floats | None = None
-    S: Floats | None = None
-    log_likelihood: float = 0.0
-    log_evidence: float = 0.0
-    inputs: Mapping[str, float] = field(default_factory=dict)
+    z: Floats | None = None  # last measurement, NaN where no reading came, as in both of the next
+    y: Floats | None = None  # its innovation
+    S: Floats | None = None  # covariance of that
+    log_likelihood: float = 0.0  # log-evidence of the last measurement
+    log_evidence: float = 0.0  # and of all
+    inputs: Mapping[str, float] = field(default_factory=dict)  # of the model in the last prediction
+    #: Upper bound of the number of particles; of modes, those that time has left for each in the last
+    #: prediction, zero where it has left all that were asked for.
     n_particles: int = 0
 
     @classmethod

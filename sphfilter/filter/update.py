@@ -81,7 +81,7 @@ def update(
     if target is not None and config.scheme == "auto" and not config.acceptance.enabled:
         posterior, said = by_ladder(density, asked, target, config)
     elif isinstance(config.scheme, FamilyScheme):
-        posterior, said = by_family(density, asked, degree_of(config.scheme, density.dim), bound)
+        posterior, said, _ = by_family(density, asked, degree_of(config.scheme, density.dim), bound)
     else:
         regrids = isinstance(config.scheme, PaperScheme) or config.acceptance.enabled
         as_cloud = density.read_out == "cloud" or isinstance(config.scheme, CloudScheme)

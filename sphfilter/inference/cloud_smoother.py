@@ -40,13 +40,14 @@ class _Smoothed(NamedTuple):
 
 
 def on_clouds(
-    epochs: Sequence[Any], start: ParticleDensity, count: int
-) -> list[tuple[ParticleDensity, float, float]]:
+    epochs: Sequence[Any], start: ParticleDensity
+) -> list[tuple[ParticleDensity, float, float, float]]:
     """Smooth the epochs of a filter that carries clouds, from a start at the time of the first.
 
-    Returns the density of `count` points, the log-evidence of all measurements, nats, and the error of the
-    mean, in standard deviations, of each epoch.
+    Returns the density, of as many points as the filter's scheme has, the log-evidence of all measurements,
+    nats, NaN for an extrapolated probability, and the error of the mean, in standard deviations, by epochs.
     """
+    count = epochs[0].filt.config.scheme.n_points
     many, few = (side.smoothed(epochs, start, count) for side in (_Side(False), _Side(True)))
     out, told = [], Told()
     for epoch, one, other in zip(epochs, many, few, strict=True):
@@ -56,7 +57,7 @@ def on_clouds(
         # the evidence with λ in it, beside that without: so many nats are about as many standard deviations
         error = math.hypot(error, one.log_evidence - many[-1].log_evidence)
         density = cloud_density(epoch.filt.density, *one.points[:2], sums[0], error=error, cloud=None)
-        out.append((density, one.log_evidence, error))
+        out.append((density, one.log_evidence, math.nan, error))
     return out
 
 

@@ -204,11 +204,8 @@ def error_of_run(result: Any) -> float:
 
 def n_readings(measurements: Rows) -> int:
     """How many numbers were measured, NaN not counted."""
-    return sum(0 if z is None else int(np.isfinite(_numbers(z)).sum()) for z in measurements)
-
-
-def _numbers(z: ArrayLike) -> Floats:
-    return np.asarray(validate.unmasked(z), dtype=float)
+    known = (np.asarray(validate.unmasked(z), dtype=float) for z in measurements if z is not None)
+    return sum(int(np.isfinite(z).sum()) for z in known)
 
 
 def fingerprint(times: ArrayLike, measurements: Rows, inputs: InputRecord | None = None) -> str:

@@ -165,7 +165,7 @@ def smooth(
     filt = _on_clouds(filt) if points else _on_lattices(filt)
     read = _checked(filt, times, measurements, sensors)
     epochs, filtered = _forward(filt, times, read, each_input(filt.model.inputs, inputs, len(times)), points)
-    smoothed = _on_points(epochs, start) if points else _backward(epochs)
+    smoothed = on_clouds(epochs, start.density) if points else _backward(epochs)
     of = np.repeat(np.arange(len(epochs)), [epoch.rows for epoch in epochs])
     densities, total, extrapolated, error = zip(*smoothed, strict=True)
     return SmoothedResult(
@@ -202,13 +202,6 @@ def _on_clouds(filt: SPHFilter) -> SPHFilter:
     if not isinstance(filt.config.scheme, CloudScheme):
         twin.config = replace(filt.config, scheme=CloudScheme(n_points=POINTS))
     return twin
-
-
-def _on_points(epochs: list["_Epoch"], start: SPHFilter) -> list[tuple[ParticleDensity, float, float, float]]:
-    """As `_backward`, on clouds."""
-    scheme: Any = epochs[0].filt.config.scheme
-    smoothed = on_clouds(epochs, start.density, scheme.n_points)
-    return [(density, total, math.nan, error) for density, total, error in smoothed]
 
 
 def _checked(

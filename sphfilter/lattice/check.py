@@ -42,7 +42,7 @@ def misfit(laid: LatticeDensity, log_p: OfStates) -> Misfit:
     X = laid.field.mu + (cells - 0.5) @ laid.field.A.T
     part, within = node_weights(laid.walls, laid.field.A, X), inside(laid.walls, X)
     X, part, within = X[part != 0.0], part[part != 0.0], within[part != 0.0]
-    asked, fitted = log_p(X) - laid.log_mass, lattice_field.log_p_at(laid.field, X)
+    asked, fitted = log_p(X) - laid.log_mass, laid.log_p(X)
     highest = max(asked.max(), fitted.max())
     p, q = np.exp(asked - highest), np.exp(np.maximum(fitted - highest, -NOTHING))
     off = np.abs(q - p)[within].sum() / max(p[within].sum(), TINY)

@@ -41,8 +41,10 @@ def inside_lattice(field: Field, x: Floats) -> Bools:
     return np.asarray(boxed)
 
 
-def extrapolated_mass(field: Field, x: Floats, mass: Floats, walls: Walls = NO_WALLS) -> float:
+def extrapolated_mass(field: Field | None, x: Floats, mass: Floats, walls: Walls = NO_WALLS) -> float:
     """Probability of weighted states x (N, n) where a field keeps no node: its values there are a guess."""
+    if field is None:
+        return 0.0
     return max(0.0, 1.0 - float(mass[inside_lattice(field, moved_in(walls, field.A, x))].sum()))
 
 

@@ -20,6 +20,7 @@ from ..core.field.stencils import stencils
 from ..core.field.walls import NO_WALLS, Walls
 from ..core.limits import ROUNDS
 from ..errors import PropagationError
+from .field import log_p_at
 from .flood import flood
 from .walls import near_walls
 
@@ -44,11 +45,23 @@ class LatticeDensity(NamedTuple):
     cov: Floats  # (n, n)
     walls: Walls = NO_WALLS  # where it ends
 
+    def log_p(self, X: Floats) -> Floats:
+        """Logarithm of the density at states (M, n), by its polynomials, shape (M,)."""
+        return log_p_at(self.field, X)
+
 
 def lattice_reach(scheme: object, n: int) -> float:
     """Z of a scheme in n dimensions: as far out as particles are cheap."""
     given = getattr(scheme, "reach", None)
     return given or {1: 5.5, 2: 4.2}.get(n, 4.0)
+
+
+def root_of(cov: Floats, why: str = "a piece is flat along some combination of the states") -> Floats:
+    """Lower factors of covariances (..., n, n); raises `PropagationError` that says why where one is flat."""
+    try:
+        return np.asarray(np.linalg.cholesky(cov), np.float64)
+    except np.linalg.LinAlgError:
+        raise PropagationError(why) from None
 
 
 def gaussian_volume(n: int, depth: float) -> float:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.special import gammaincc
@@ -14,7 +14,7 @@ from ..core.limits import LARGEST_EXPONENT, ROUNDING, SAID, TINY
 from ..errors import PropagationError
 from . import field as lattice_field
 from .check import Misfit, felt, left_out, misfit
-from .level_set import LatticeDensity, lay
+from .level_set import LatticeDensity, lay, root_of
 from .peaks import Peak, along_axes, peaks
 from .posterior import within_pieces
 from .walls import between, inside, moved_in
@@ -81,14 +81,9 @@ def resolved(
     """Check a posterior against what is found between and beyond its nodes, and lay it again if need be.
 
     Returns the first lattice that holds and resolves all that was found, or the best of all. Where there was
-    none so far, the error that says why stands in its place; it is raised if nothing is found.
-
-    Parameters
-    ----------
-    product, log_weight : callable
-        States (M, n) to the logarithms (M,) of prior times likelihood, and of the likelihood.
-    bounds : tuple
-        Number of particles, and depth.
+    none so far, the error that says why stands in its place; it is raised if nothing is found. `product` and
+    `log_weight` take states (M, n) to the logarithms (M,) of prior times likelihood, and of the likelihood;
+    bounds are the number of particles, and depth.
     """
     x, mass, _ = prior
     tail = float(gammaincc(0.5 * x.shape[1], bounds[1]))  # beyond the cut of a Gaussian
@@ -179,7 +174,7 @@ def _above(laid: LatticeDensity, part: _Part) -> Any:
     """Whether the polynomials know nothing of states (M,) of a part: where its density is far above them."""
     if part.log_p is None:
         return np.zeros(len(part.x), dtype=bool)
-    return part.log_p - laid.log_mass - lattice_field.log_p_at(laid.field, part.x) > HIGHER
+    return part.log_p - laid.log_mass - laid.log_p(part.x) > HIGHER
 
 
 def _overlooked(
@@ -205,12 +200,13 @@ def _overlooked(
         X = X[lattice_field.inside_lattice(field, X)]
     if not len(X):
         return []
-    values, factor = product(X), _root_of(cov)
+    values = product(X)
+    factor = root_of(cov, "the density is narrower than the digits of its mean can tell")
     if isinstance(laid, LatticeDensity):
         widest = values + np.log(np.sqrt(2.0 * math.pi) * np.diag(factor)).sum()  # no peak has more mass
         high = widest + np.log(felt(laid.mean, laid.cov, X)) > laid.log_mass + math.log(search.most_left_out)
         X, values = X[high], values[high]
-        above = values - laid.log_mass - lattice_field.log_p_at(laid.field, X) > HIGHER
+        above = values - laid.log_mass - laid.log_p(X) > HIGHER
         X, values = X[above], values[above]
     elif values.max() < -1e200:
         return []
@@ -219,14 +215,6 @@ def _overlooked(
     farthest = np.linalg.norm(np.linalg.solve(factor, (x - mean).T), axis=0).max()  # a tail is a guess
     found = peaks(product, X, values, factor)
     return [p for p in found if np.linalg.norm(np.linalg.solve(factor, p.x - mean)) < farthest]
-
-
-def _root_of(cov: Floats) -> Any:
-    """Lower factor of a covariance (n, n)."""
-    try:
-        return np.linalg.cholesky(cov)
-    except np.linalg.LinAlgError:
-        raise PropagationError("the density is narrower than the digits of its mean can tell") from None
 
 
 def _tries(

@@ -39,13 +39,6 @@ class Names:
 
     States and parameters, inputs among these, and the `tables` that ``table("name", ...)`` may call. Raises
     `ExpressionError` for a name that is no identifier, is reserved, or is given twice.
-
-    Attributes
-    ----------
-    used : set of str
-        Names that a text has used so far.
-    data : ndarray
-        Arguments and values of all tables, as they follow the parameters' values in p.
     """
 
     def __init__(
@@ -66,8 +59,9 @@ class Names:
         self.t = sp.Symbol("t")
         self.symbols = dict(zip((*states, *parameters, "t"), (*self.x, *self.p, self.t), strict=True))
         self.symbols["pi"] = sp.pi
-        self.used: set[str] = set()
+        self.used: set[str] = set()  # names that a text has used so far
         self.tables = {plain(name): table for name, table in tables.items()}
+        # arguments and values of all, as they follow the parameters' values in p
         self.data = np.concatenate([[], *(part for own in tables.values() for part in (own.at, own.values))])
         sizes = [2 * len(table.at) for table in tables.values()]
         starts = len(parameters) + np.cumsum([0, *sizes])[:-1]

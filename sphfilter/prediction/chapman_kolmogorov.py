@@ -27,7 +27,7 @@ from ..errors import PropagationError
 from ..info import DOUBTFUL, PredictInfo
 from ..lattice.check import misfit
 from ..lattice.field import log_p_at, nodes
-from ..lattice.level_set import lattice_reach
+from ..lattice.level_set import lattice_reach, root_of
 from ..lattice.posterior import posterior
 from ..model.discrete import DiscreteModel
 from ..model.paths import noise_root
@@ -174,10 +174,7 @@ def _noisy(model: DiscreteModel, X: Floats, t: float) -> tuple[Floats, Floats]:
     mean, root = model.transition(X, t), noise_root(model.covariance)
     each = [model.transition(X, t, np.tile(w, (len(X), 1))) - mean for w in root.T]  # affine in the noise
     G = np.stack(each, axis=2)
-    try:
-        return mean, np.asarray(np.linalg.cholesky(G @ G.swapaxes(1, 2)), np.float64)
-    except np.linalg.LinAlgError:
-        raise PropagationError(_TOO_LITTLE) from None
+    return mean, root_of(G @ G.swapaxes(1, 2), _TOO_LITTLE)
 
 
 def _exponents(M: Any) -> Floats:

@@ -44,14 +44,7 @@ def degree_of(scheme: FamilyScheme, n: int) -> int:
 
 def why_not(model: SDE, density: ParticleDensity) -> str:
     """Can one family carry the density? Returns a reason why not, empty if it can."""
-    if model.domain.walled.any():
-        return "an axis ends, and polynomials do not"
-    return fits_density(density)
-
-
-def fits_density(density: ParticleDensity) -> str:
-    """Is the density one that a family may stand for? Returns a reason why not, empty if it is."""
-    if density.domain is not None and density.domain.walled.any():
+    if model.domain.walled.any() or density.walls[0].size:
         return "an axis ends, and polynomials do not"
     if density.field is None and density.family is None:
         return "the density has no smooth logarithm"

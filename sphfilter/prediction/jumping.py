@@ -89,10 +89,6 @@ class Way(NamedTuple):
         before = np.zeros(len(came)) if modes.unsure is None else modes.unsure
         return np.asarray(before @ (came / np.maximum(came.sum(axis=0), TINY)) ** 2)
 
-    def staying(self, i: int) -> float:
-        """Probability that a state of mode number i does not jump."""
-        return math.prod(float(P[i, i]) for P in self.jumps)
-
     def modes_before(self, forward: list[Floats], j: int, u: Floats) -> Ints:
         """Modes (K, Q + 1) between the jumps of states that end in mode j, of numbers u (K,) below one.
 
@@ -176,7 +172,8 @@ class _Sources:
         self, forward: list[Floats], j: int, stayed: Carried
     ) -> tuple[CloudState, tuple[Floats, Floats], float]:
         """The cloud of mode j with those that came, its moments, and the error of its mean."""
-        state, share = stayed.state, self.w[j] * self._way.staying(j) / forward[-1][j]
+        staying = math.prod(float(P[j, j]) for P in self._way.jumps)  # probability of no jump
+        state, share = stayed.state, self.w[j] * staying / forward[-1][j]
         clouds, sums, inherited = [], [], share * state.inherited**2
         for k, points in enumerate((state.points, state.shadow)):
             key = stored_key(stored_key(stayed.state.age, Use.JUMPS + k), j)

@@ -40,7 +40,6 @@ _AS_FAMILIES = {1: 2**9, 2: 2**9, 3: 2**9, 4: 2**8, 5: 2**12}  # and of more as 
 #: As long as a lattice that makes the same error, by states: of one it pays sooner, and knows its tails; of
 #: three and more never. And as families of five and six, of thousands of nodes. (Of the same command.)
 _AS_LATTICES = {1: 2**11, 2: 2**13}
-_LOWEST = {1: 4, 2: 4, 3: 4}  # degrees of families; from four states three
 #: Evaluations of the drift that a lattice may take for each point of a usual cloud: 15 to 45 ns each, beside
 #: .6 µs of a point, or 5 to 15 times as long, for what it knows of tails. With five times as many three of
 #: eleven scenes took 1.5 to 2.5 times as long; with half a tail was lost, unsaid (`experiments benchmark`).
@@ -51,7 +50,7 @@ _FINER = 3  # times the nodes of a first lattice that loses probability
 def first_degree(dim: int, needs: Memory) -> int:
     """Degree that is tried first."""
     known = degrees(dim)
-    lowest = min((d for d in known if d >= _LOWEST.get(dim, 3)), default=0)
+    lowest = min((d for d in known if d >= (4 if dim <= 3 else 3)), default=0)
     return max(needs.degree, lowest) if lowest else 0
 
 
@@ -66,22 +65,17 @@ def becomes_cloud(dim: int, needs: Memory, target: float) -> bool:
 
 
 def best_family(
-    density: ParticleDensity,
-    target: float,
-    needs: Memory,
-    first: int,
-    attempt: Callable[[int, float], tuple[Found, float]],
+    dim: int, allowed: float, first: int, attempt: Callable[[int, float], tuple[Found, float]]
 ) -> tuple[Found, int, float] | None:
     """The first degree of a family whose added error is allowed, else the best; None where none will do.
 
-    One that is somewhat off is taken where what comes next would not be better. Of a step that begins with a
-    density, `attempt` makes what comes of a degree, and the error that it adds, standard deviations, of the
-    most that it may; it may raise `PropagationError`. The degree `first` is tried first. Returns what came of
-    the step, its degree, and the error over its budget.
+    One that is somewhat off is taken where what comes next would not be better. Of a step, `attempt` makes
+    what comes of a degree, and the error that it adds, standard deviations, of the most that it may; it may
+    raise `PropagationError`. The degree `first` is tried first. Returns what came of the step, its degree,
+    and the error over what is allowed.
     """
-    allowed = error_budget(density.error, target) * needs.shared
-    best, most = None, tolerated_excess(density.dim) * allowed
-    for degree in (d for d in degrees(density.dim) if 0 < first <= d <= family.HIGHEST):
+    best, most = None, tolerated_excess(dim) * allowed
+    for degree in (d for d in degrees(dim) if 0 < first <= d <= family.HIGHEST):
         try:
             found, added = attempt(degree, most)
         except PropagationError:
@@ -150,7 +144,7 @@ def _by_family(
     allowed = error_budget(density.error, target) * needs.shared
     if escaped(density, model, t1) > math.sqrt(2.0) * allowed:
         return None
-    best = best_family(density, target, needs, first_degree(density.dim, needs), carried)
+    best = best_family(density.dim, allowed, first_degree(density.dim, needs), carried)
     if best is None:
         return None
     (moved, info), degree, used = best

@@ -32,13 +32,13 @@ from ..density.memory import Memory, min_nodes
 from ..density.merging import OF_CHANGE, merged
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Use, age_of, stored_key
-from ..density.pieces import Pieces, light, root_of
+from ..density.pieces import Pieces, light
 from ..density.points import moments_of_sum
 from ..density.resample import folded_logarithm
 from ..errors import PropagationError
 from ..lattice.check import misfit, remote
 from ..lattice.field import inside_lattice
-from ..lattice.level_set import lattice_reach, lay
+from ..lattice.level_set import lattice_reach, lay, root_of
 from ..lattice.resolved import MOST
 from . import family
 from .ladder import first_degree, prefers_cloud
@@ -164,9 +164,8 @@ def _few(pieces: Pieces, change: float, most: float) -> tuple[Pieces, float]:
 
 def _as_family(parts: Sequence[Part], about: ParticleDensity, allowed: float) -> ParticleDensity | None:
     """One family, of as low a degree as the error lets it be; None where none holds the sum."""
-    domain = about.domain
     smooth = all(part.density.form.smooth for part in parts)
-    if about.needs is None or not smooth or (domain is not None and domain.walled.any()):
+    if about.needs is None or not smooth or about.walls[0].size:
         return None
     mean, cov = _moments(parts)
     log_p, first = _log_sum(parts), first_degree(about.dim, about.needs)
@@ -219,7 +218,11 @@ def _on_lattice(parts: Sequence[Part], about: ParticleDensity, allowed: float) -
     log_p, (mean, cov), n = _log_sum(parts), _moments(parts), about.dim
     x, mass = (np.concatenate(rows) for rows in zip(*_nodes(parts), strict=True))
     seeds = x[mass > _SEEDS * mass.max()]
-    nodes, depth = _first_nodes(parts, about), 0.5 * lattice_reach(None, n) ** 2
+    if about.needs is None:
+        nodes = max(part.density.capacity or part.density.n_particles for part in parts)
+    else:
+        nodes = about.needs.nodes or min_nodes(n)
+    depth = 0.5 * lattice_reach(None, n) ** 2
     best: Any = math.inf, None
     for _ in range(_TRIES):
         laid = lay(log_p, mean, root_of(cov), seeds, nodes, depth, walls=about.walls)
@@ -248,12 +251,6 @@ def _settled(density: ParticleDensity, allowed: float) -> ParticleDensity:
         return density
     one = as_polynomials(density, first_degree(density.dim, needs), allowed)
     return density if one is None else one.noted(needs=needs)
-
-
-def _first_nodes(parts: Sequence[Part], about: ParticleDensity) -> int:
-    if about.needs is None:
-        return max(part.density.capacity or part.density.n_particles for part in parts)
-    return about.needs.nodes or min_nodes(about.dim)
 
 
 def _nodes(parts: Sequence[Part]) -> list[tuple[Floats, Floats]]:

@@ -11,9 +11,10 @@ from ..core.limits import LOOK, ROUNDS
 from ..density.as_family import moments_on_line
 from ..density.modes import ModeDensities, SplittingError, no_ripple
 from ..density.particle_density import ParticleDensity
-from ..density.pieces import ENTRIES, NEAR, Pieces, root_of
+from ..density.pieces import ENTRIES, NEAR, Pieces
 from ..density.points import moments_of_sum
 from ..density.quasi_random import net
+from ..lattice.level_set import root_of
 from ..model.discretization import exponential
 from ..model.jump_markov import JumpMarkovModel
 from ..model.sde import SDE

@@ -150,11 +150,6 @@ def test_bad_input(call, message):
         call()
 
 
-def test_too_few_particles_for_a_level_set():
-    with pytest.raises(sf.ModelError, match=r"n_particles = 10 is too small for 4 states: .* use more"):
-        sf.initialize(sf.Gaussian(np.zeros(4), np.eye(4)), 10)
-
-
 @pytest.mark.parametrize("cov", [np.diag([1e6, 1e-6]), oblique(1e-10)], ids=["scales", "oblique"])
 def test_whitened_lattices_take_covariances_the_papers_cannot(cov):
     density = sf.initialize(sf.Gaussian([0.0, 0.0], cov), 200)

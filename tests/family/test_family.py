@@ -12,7 +12,6 @@ from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import draw_case
 from sphfilter.density.family import gaussian_family, node_weights
 from sphfilter.density.family_posterior import family_posterior
-from sphfilter.density.storage import from_bytes, to_bytes
 from sphfilter.info import DOUBTFUL
 
 FAMILY = sf.FilterConfig(scheme="family")
@@ -239,23 +238,6 @@ def test_other_schemes_go_on_from_a_family(bent):
     posteriors = [sf.update(density, sensor, [0.5], n_particles=400)[0] for density in bent]
     assert posteriors[0].field is not None
     np.testing.assert_allclose(posteriors[0].mean(), posteriors[1].mean(), atol=0.01)
-
-
-def test_a_filter_goes_on_to_the_same_bits_from_a_file(tmp_path):
-    flt = sf.SPHFilter(WELL, CUBE, [1.0], [[0.3]], n_particles=100, config=FAMILY)
-    flt.predict(0.5)
-    flt.update([0.9])
-    again = from_bytes(to_bytes(flt.density))
-    assert again.read_out == "family" and again.error == flt.density.error
-    flt.save(tmp_path / "filter.npz")
-    other = sf.SPHFilter.load(tmp_path / "filter.npz", WELL, CUBE)
-    for each in (flt, other):
-        each.predict(0.5)
-        each.update([0.4])
-    for name in ("mu", "A", "c"):
-        np.testing.assert_array_equal(getattr(flt.density.family, name), getattr(other.density.family, name))
-    np.testing.assert_array_equal(flt.x, other.x)
-    assert flt.log_evidence == other.log_evidence
 
 
 def test_what_a_step_missed_is_told():

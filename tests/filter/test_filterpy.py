@@ -272,6 +272,7 @@ def test_a_saver_that_begins_before_the_first_reading():
     saver.save()
     saver.to_array()
     assert saver.z.shape == (3, 1) and saver.S.shape == saver.SI.shape == (3, 1, 1)
+    assert saver.x.shape == (3, 2) and saver.log_likelihood.shape == (3,)
     assert np.isnan(saver.z[:2]).all() and np.isfinite(saver.z[2]).all()
 
 
@@ -280,8 +281,9 @@ def test_what_may_be_set_and_what_subclasses_carry():
     flt.predict(DT)
     assert (flt.densities, flt.R) == ([], 3.0)
     assert copy.deepcopy(flt).R == pickle.loads(pickle.dumps(flt)).R == 3.0
-    with pytest.raises(sf.ModelError, match="IMM mixing"):
-        flt.x = X0
+    for name, value in {"x": X0, "P": P0}.items():
+        with pytest.raises(sf.ModelError, match="IMM mixing"):
+            setattr(flt, name, value)
     plain = ours()
     plain.predictions, plain.dt, plain.n_particles = "notes", 2.0, 150
     assert (plain.predictions, plain.dt, plain.n_particles) == ("notes", 2.0, 150)

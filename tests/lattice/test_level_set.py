@@ -200,23 +200,3 @@ def test_a_truncating_likelihood():
     q, info = sf.update(p, sensor, [0.5], n_particles=200)
     assert info.log_evidence == pytest.approx(norm.logsf(0.5), abs=0.05)
     assert q.mean()[0] == pytest.approx(norm.pdf(0.5) / norm.sf(0.5), abs=0.03)
-
-
-def test_a_likelihood_that_is_zero_everywhere_is_refused():
-    p = gaussian(2)
-    sensor = sf.LikelihoodMeasurement(lambda z, X, t: np.full(len(X), -np.inf))
-    with pytest.raises(PropagationError, match="zero wherever the prior has particles"):
-        sf.update(p, sensor, [0.0])
-
-
-def test_a_missing_component_of_a_measurement():
-    p = gaussian(2)
-    both = sf.GaussianMeasurement(h=np.eye(2), noise_cov=np.diag([0.1, 0.2]))
-    first = sf.GaussianMeasurement(h=[[1.0, 0.0]], noise_cov=[[0.1]])
-    partial, told = sf.update(p, both, [1.3, np.nan])
-    alone, said = sf.update(p, first, [1.3])
-    assert np.array_equal(partial.x, alone.x)
-    assert told.log_evidence == said.log_evidence
-    same, info = sf.update(p, both, [np.nan, np.nan])
-    assert same is p
-    assert info.log_evidence == 0.0

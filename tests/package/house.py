@@ -54,10 +54,10 @@ BOUNDS = {
     "  median length": 6,
     "  longer than 40 lines": 14,
     "  with more than 8 arguments": 10,
-    "module-level numbers": 392,  # smoothing on clouds 12, draws of parameters 6, the command 5
-    "  without derivation or measurement": 131,
-    "places that ask which representation": 57,
-    "  files with such places": 29,
+    "module-level numbers": 390,  # smoothing on clouds 12, draws of parameters 6, the command 5
+    "  without derivation or measurement": 130,
+    "places that ask which representation": 54,
+    "  files with such places": 27,
     "floors of imports": 30,  # the command stands on fits and forecasts
     "  of the highest room": 11,
     "  modules in circles": 5,

@@ -190,20 +190,6 @@ def test_the_same_density_gives_the_same_bits():
     assert not np.array_equal(one.x, sf.predict(later, WELLS, 0.5, CLOUD)[0].x)
 
 
-def test_a_filter_goes_on_to_the_same_bits_from_a_file(tmp_path):
-    sensor = sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]])
-    flt = sf.SPHFilter(WELLS, sensor, [3.0, 0.0], np.diag([0.2, 1.0]), n_particles=200, config=CLOUD)
-    flt.predict(0.5)
-    flt.update([2.5])
-    flt.save(tmp_path / "filter.npz")
-    again = sf.SPHFilter.load(tmp_path / "filter.npz", WELLS, sensor)
-    for one in (flt, again):
-        one.predict(0.5)
-        one.update([2.0])
-    np.testing.assert_array_equal(flt.x, again.x)
-    assert flt.log_evidence == again.log_evidence
-
-
 def test_a_model_that_blows_up_says_so_and_a_little_of_it_is_told():
     with pytest.raises(sf.PropagationError, match="blew up"):
         sf.predict(normal(1.0), line("x**3"), 1.0, CLOUD)

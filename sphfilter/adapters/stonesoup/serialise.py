@@ -76,14 +76,6 @@ def _component_from_yaml(constructor: Any, tag_suffix: str, node: Any) -> Base:
         raise ConstructorError("while reading a component", node.start_mark, str(problem)) from problem
 
 
-def _density_text(density: ParticleDensity) -> str:
-    return base64.encodebytes(to_bytes(density)).decode()
-
-
-def _density_from(text: str) -> ParticleDensity:
-    return from_bytes(base64.decodebytes(text.encode()))
-
-
 def _model_text(model: Dynamics) -> str:
     _, (constructor, arguments, inputs) = model.__reduce__()
     if constructor in (SDE, DiscreteModel):
@@ -97,11 +89,6 @@ def _linear_from(text: str) -> LinearSDE:
     parts = json.loads(text)
     inputs = parts.pop("u", {})
     return LinearSDE(**parts).with_inputs(inputs)
-
-
-def _sensor_text(sensor: GaussianMeasurement) -> str:
-    _, (_, recipe) = sensor.__reduce__()
-    return _json(recipe)
 
 
 def _sensor_from(text: str) -> GaussianMeasurement:
@@ -164,11 +151,14 @@ def _plain(name: str, value: Any) -> Any:
 
 #: Class: how it becomes text, and is made of it.
 _FORMS: dict[type, tuple[Callable[[Any], str], Callable[[str], Any]]] = {
-    ParticleDensity: (_density_text, _density_from),
+    ParticleDensity: (
+        lambda density: base64.encodebytes(to_bytes(density)).decode(),
+        lambda text: from_bytes(base64.decodebytes(text.encode())),
+    ),
     SDE: (_model_text, lambda text: SDE.from_expressions(**json.loads(text))),
     DiscreteModel: (_model_text, lambda text: DiscreteModel.from_expressions(**json.loads(text))),
     LinearSDE: (_model_text, _linear_from),
-    GaussianMeasurement: (_sensor_text, _sensor_from),
+    GaussianMeasurement: (lambda sensor: _json(sensor.__reduce__()[1][1]), _sensor_from),
     LikelihoodMeasurement: (_refused, _refused),
     JumpMarkovModel: (_refused_modes, _refused_modes),
     ModeDensities: (_refused_modes, _refused_modes),

@@ -47,17 +47,8 @@ def witnesses(m, ends, G, h):
 def judged(back, step, around, m, ends):
     """Error of a step: the mean of |p / p' - 1| over states that stand for p', which is that of two halves.
 
-    Parameters
-    ----------
-    back : function
-        That of this name in `expectation`.
-    step : Step
-    around : ndarray, shape (n,)
-        State around which the response of the paths' ends to their noise is measured.
-    m : ndarray, shape (N,)
-        Masses of the density's nodes.
-    ends : ndarray, shape (N, n)
-        Where these go without noise.
+    `back` is that of this name in `expectation`; `around` (n,) the state around which the response of the
+    paths' ends to their noise is measured. Nodes of masses m (N,) go to `ends` (N, n) without noise.
     """
     if step.noise.G.shape[1] == 0:
         return 0.0

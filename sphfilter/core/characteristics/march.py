@@ -111,24 +111,10 @@ def wrong(state):
 
 @jit
 def march(entries, noise, field, sten, paths, times, run):
-    """Carry a field from times[0] to times[1].
+    """The field carried from times[0], which is kept up to date, to times[1], seconds.
 
-    Parameters
-    ----------
-    entries : Entries
-    noise : Noise
-    field : Field
-    sten : Stencils
-    paths : Paths
-    times : ndarray, shape (2,)
-        Seconds; times[0] is kept up to date.
-    run : Run
-
-    Returns
-    -------
-    tuple
-        The field, its states and masses, their mean and covariance, and a code of `STATUS`. On failure they
-        are as far as they came.
+    With it its states and masses, their mean and covariance, and a code of `STATUS`. On failure they are as
+    far as they came.
     """
     drift, divergence = function_at(entries.drift), function_at(entries.divergence)
     diffusion, back = function_at(entries.diffusion), back_at(entries.back)

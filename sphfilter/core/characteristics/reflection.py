@@ -96,12 +96,8 @@ def _turned(step, t, d, along, D, depth, at, f):
     """How fast the slope of log p that lets no flux pass a wall changes, for what happens along the wall.
 
     In coordinates in which noise crosses the wall straight. along, D: of `_conormal`; at, f: (4 K, n), states
-    beyond the wall, on it, half and all as far before it, and the drift there.
-
-    Returns
-    -------
-    ndarray, shape (K,)
-        Slope towards higher x_d, per second, of what moves with the tangential drift.
+    beyond the wall, on it, half and all as far before it, and the drift there. Returns the slope (K,) towards
+    higher x_d, per second, of what moves with the tangential drift.
     """
     K, n, h, G = depth.size, at.shape[1], step.h, step.noise.G
     m, out = G.shape[1], np.zeros(depth.size)

@@ -232,21 +232,10 @@ def look_ahead(ahead, u, w, block, net, key):
     Those that will come d standard deviations from the mean are chosen up to 1 + d/√n times as often as the
     reading says: a mode of little weight, on which half of a variance may hang, would else have no point.
 
-    Parameters
-    ----------
-    ahead : Ahead
-    u, w, block : ndarray, shapes (n, N), (N,), (N,)
-    net : ndarray, shape (n, count)
-        Standard normals that are even along the curve, and are turned and shifted by the key.
-    key : int
-
-    Returns
-    -------
-    ancestor, new : ndarray, shapes (count,), (n, count)
-        Numbers of points, in order, and their u; none where no block can be guided.
-    log_ratio : ndarray, shape (N + count,)
-        Logarithm of the proposal's density of (point, u) over the prior's: of the N of the first pass, then
-        of the new ones.
+    Points have u (n, N), weights w (N,) and blocks (N,); the net (n, count) is of standard normals that are
+    even along the curve, and are turned and shifted by the key. Returns numbers (count,) of the points, in
+    order, and their u (n, count), none where no block can be guided; and the logarithm (N + count,) of the
+    proposal's density of (point, u) over the prior's: of the N of the first pass, then of the new ones.
     """
     r, y, L, HL, R = ahead
     (k, N), (n, count), blocks = r.shape, net.shape, HL.shape[0]

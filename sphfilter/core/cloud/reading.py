@@ -44,22 +44,13 @@ def foreseen(reader, x, w, mean):
 def weigh(way, nets, key):
     """Prior times likelihood, of both passes.
 
-    Parameters
-    ----------
-    way : tuple
-        A `Reader`; the prediction as a `Leg`, whether its change is linear, and its key; points where they
-        began and where they are, (n, N), their weights and blocks (N,); the noise that begins the way and
-        the prediction, each a `Part`; and what moved the points in each, (n, N).
-    nets : tuple of ndarray, shape (n, N)
-        Standard normals of the guide and of both passages.
-    key : int
+    The way is a `Reader`; the prediction as a `Leg`, whether its change is linear, and its key; points where
+    they began and where they are, (n, N), their weights and blocks (N,); the noise that begins the way and
+    the prediction, each a `Part`; and what moved the points in each, (n, N). Nets (n, N) are standard normals
+    of the guide and of both passages.
 
-    Returns
-    -------
-    x, log_w, lineage : ndarray, shapes (n, M), (M,), (M,)
-        States, logarithms of weights whose sum is the evidence, and ancestors.
-    wrong : int
-        How many likelihoods are no number: then the rest is of no worth.
+    Returns states (n, M), logarithms (M,) of weights whose sum is the evidence, and ancestors (M,); and how
+    many likelihoods are no number: then the rest is of no worth.
     """
     reader, leg, linear, passage, x, y, w, block, kernel, moved, u, v = way
     n, N = x.shape

@@ -57,14 +57,8 @@ def begin(x, w, lineage, count, key, net, table, bits):
 def carry(leg, x, block, net, key):
     """Carry points x (n, N) over a leg, with their ends moved by the normals of a net (n, N).
 
-    Returns
-    -------
-    y, u : ndarray, shape (n, N)
-        Ends, and what moved them.
-    start, end : ndarray, shape (blocks, n)
-        Centres of the blocks, and where they come without noise.
-    flow, lower, rows : ndarray, shapes (blocks, n, n), (blocks, n, n), (blocks, n, d)
-        Φ, L and V: what linearises the blocks.
+    Returns y and u (n, N), ends and what moved them; start and end (blocks, n), centres of the blocks and
+    where they come without noise; and Φ, L (blocks, n, n) and V (blocks, n, d), what linearises the blocks.
     """
     start, u = centres(x), even_normals(net, np.uint64(key))
     end, flow, lower, rows = linearised(leg, start)

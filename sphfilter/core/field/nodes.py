@@ -16,28 +16,16 @@ MOST_ASKED = 12  # cells asked for, over the number of particles wanted
 def relaid(box, mu, A, sten, depth, walls):
     """The nodes of a flooded box above the depth, normalised, and those beside them.
 
-    Mean, covariance and the integral are sums over all cells that were asked for, the ring just below the
-    depth included: what the cut would take away from them is below rounding of what the lattice resolves.
+    The box has values (cells,), `UNKNOWN` where none was asked for; the lowest cell (n,), and cells (n,)
+    along every axis; the largest value; and flat numbers of the cells that were asked for. The lattice has
+    origin mu (n,) and vectors A (n, n), the depth is log p of the lightest nodes below the highest, and walls
+    (n,), low and high, are where axes end; empty if none does.
 
-    Parameters
-    ----------
-    box : tuple
-        Values (cells,), `UNKNOWN` where none was asked for; the lowest cell (n,), and cells (n,) along every
-        axis; the largest value; and flat numbers of the cells that were asked for.
-    mu, A : ndarray, shapes (n,) and (n, n)
-        Origin and vectors of the lattice.
-    sten : Stencils
-    depth : float
-        log p of the lightest nodes below the highest.
-    walls : tuple of ndarray, shapes (n,)
-        Where axes end, low and high; empty if none does.
-
-    Returns
-    -------
-    node (M, n), x (N, n), log_p (M,), m (N,), log of the integral, mean (n,), covariance (n, n)
-        The first N of the M nodes lie above the depth. The others were asked beside them: polynomials are
-        fitted to them too, where log p does not fall there by more than the depth once more. So do those
-        beyond a wall.
+    Returns node (M, n), x (N, n), log_p (M,), m (N,), log of the integral, mean (n,), covariance (n, n). The
+    first N of the M nodes lie above the depth. The others were asked beside them: polynomials are fitted to
+    them too, where log p does not fall there by more than the depth once more. So do those beyond a wall. The
+    last three are sums over all cells that were asked for, the ring just below the depth included: what the
+    cut would take away from them is below rounding of what the lattice resolves.
     """
     (value, low, dims, highest, cells), n = box, mu.size
     found = opened(value, cells, highest - depth, dims, sten.offsets[: sten.size[0]])

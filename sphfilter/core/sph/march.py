@@ -41,24 +41,11 @@ def parts():
 
 @jit
 def march(parts, equations, cloud, domain, options, progress):
-    """Carry the cloud from progress.t to progress.t1, and keep `progress` up to date.
+    """Code of `STATUS` of carrying the cloud, in place, from progress.t to progress.t1.
 
-    Parameters
-    ----------
-    parts : Parts
-    equations : Equations
-    cloud : Cloud
-        Updated in place; on failure as far as it came.
-    domain : Domain
-    options, progress : record
-        `Options` and `Progress`, packed.
-
-    Returns
-    -------
-    int
-        Code of `STATUS`. "paused" asks to be called again: between calls Python can be interrupted.
-        "unsettled" asks so without the particles that it leaves without mass. On failure
-        ``progress.culprit`` is the particle.
+    `Options` and `Progress` are packed, and progress is kept up to date; on failure the cloud is as far as it
+    came, and ``progress.culprit`` is the particle. "paused" asks to be called again: between calls Python can
+    be interrupted. "unsettled" asks so without the particles that it leaves without mass.
     """
     near, work = _begin(parts, equations, cloud, domain, options, progress)
     first = progress.steps
@@ -83,22 +70,10 @@ def march(parts, equations, cloud, domain, options, progress):
 
 @jit
 def step(parts, equations, cloud, domain, near, work, options, progress):
-    """One step of 002 section 4.3, from progress.t over progress.dt.
+    """One step of 002 section 4.3, from progress.t over progress.dt; arguments as of `march`.
 
-    Parameters
-    ----------
-    parts, equations, cloud, domain, options, progress
-        As `march` takes them.
-    near : Near
-        What the particles saw in the step before.
-    work : Work
-
-    Returns
-    -------
-    near : Near
-        What they see in this one.
-    code : int
-        OK, NOT_FINITE, STALLED or UNSETTLED.
+    `near` is what the particles saw in the step before. Returns what they see in this one, and a code: OK,
+    NOT_FINITE, STALLED or UNSETTLED.
     """
     if progress.follows and _unsettled(parts, cloud, near, work, options, progress):
         return near, UNSETTLED

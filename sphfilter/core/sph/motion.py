@@ -39,18 +39,9 @@ def velocity(equations, t, cloud, work, v):
 
 @jit
 def evaluate(density, equations, t, cloud, near, work, options, v):
-    """Density, gradient and velocity of the particles at a time.
+    """Density, gradient and velocity v (N, n) of the particles at a time, seconds, which are written.
 
-    Parameters
-    ----------
-    density : ADDRESS
-        Of `DENSITY`.
-    equations : Equations
-    t : float
-        Seconds.
-    cloud, near, work, options
-        As the march holds them; densities and gradients are written.
-    v : ndarray, shape (N, n), written
+    `density` is the address of `DENSITY`; cloud, near, work and options are as the march holds them.
     """
     density_at(density)(cloud, near, work, options)
     velocity(equations, t, cloud, work, v)
@@ -93,24 +84,10 @@ def stable_step(cloud, v, near, work, options):
 
 @jit
 def move(density, equations, t, dt, cloud, near, work, options):
-    """One Euler, midpoint or RK4 step from time t over dt seconds.
+    """Evaluations made by one Euler, midpoint or RK4 step of the cloud's x from time t over dt seconds.
 
-    Smoothing lengths stay as they are within a step. 001 (29) prints the midpoint rule as "leapfrog".
-
-    Parameters
-    ----------
-    density, equations, near, options
-        As `evaluate` takes them.
-    t, dt : float
-    cloud : Cloud
-        Its x is moved.
-    work : Work
-        Its v holds the velocity at the start.
-
-    Returns
-    -------
-    int
-        Evaluations made.
+    At the start the velocity is in `work.v`; the rest is as `evaluate` takes it. Smoothing lengths stay as
+    they are within a step. 001 (29) prints the midpoint rule as "leapfrog".
     """
     x, v = cloud.x, work.v
     if options.integrator == EULER:

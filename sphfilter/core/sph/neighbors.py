@@ -258,23 +258,10 @@ def _reach(x, i, support, reach, buffer, index, found, r2):
 
 @jit
 def neighbor_lists(x, support, reach, buffer, index):
-    """Symmetric neighbour lists with at least `buffer` particles beyond each support.
+    """Symmetric neighbour lists with at least `buffer` particles beyond each support, K h (N,).
 
-    Parameters
-    ----------
-    x : ndarray, shape (N, n)
-    support : ndarray, shape (N,)
-        K h of each particle.
-    reach : ndarray, shape (N,)
-        Radius to search first; grown in place where the buffer is not met.
-    buffer : int
-    index : Index
-
-    Returns
-    -------
-    start : ndarray, shape (N + 1,)
-    neighbors : ndarray
-        Row i is ``neighbors[start[i]:start[i+1]]``, sorted, without i itself.
+    The `reach` (N,) is the radius to search first, and grown in place where the buffer is not met. Returns
+    start (N + 1,) and neighbors: row i is ``neighbors[start[i]:start[i+1]]``, sorted, without i itself.
     """
     N = x.shape[0]
     found, r2 = np.empty(N, np.int64), np.empty(N)

@@ -84,17 +84,9 @@ def bypass_time(cloud, v, dt_before, near, work, options):
 def search_is_due(cloud, v, dt_before, searched, near, work, options, progress):
     """Must the next step search for neighbours, or do the lists at hand last: the test of 002 section 4.3.
 
-    Parameters
-    ----------
-    cloud : Cloud
-    v : ndarray, shape (N + G, n)
-        Velocities of the particles and of their images.
-    dt_before : float
-        The step before this one, over which the smoothing lengths came to be what they are, seconds.
-    searched : bool
-        Has this step?
-    near, work, options, progress
-        As the march holds them; ``progress.dt`` is the step that comes.
+    Velocities v (N + G, n) are those of the particles and of their images; `dt_before` is the step before
+    this one, seconds, over which the smoothing lengths came to be what they are, `searched` whether this one
+    has; ``progress.dt`` is the step that comes.
     """
     if not options.bypass:
         return True

@@ -80,17 +80,8 @@ def update_smoothing(density, cloud, near, work, options):
     """Bring h to the present positions; return how many particles' lengths have not settled.
 
     Those that have are marked in `work.settled`. Where an equation has no root the old h is kept. `cloud.rho`
-    holds the density of the last evaluation, which the lagged proportional update uses.
-
-    Parameters
-    ----------
-    density : ADDRESS
-        Of `DENSITY`.
-    cloud : Cloud
-    near : Near
-        Lists made for the radii ``work.reach``, which no support may pass.
-    work : Work
-    options : Options
+    holds the density of the last evaluation, which the lagged proportional update uses; `density` is the
+    address of `DENSITY`. The lists are made for the radii ``work.reach``, which no support may pass.
     """
     rule, n = options.smoothing, cloud.x.shape[1]
     if rule == FIXED:

@@ -21,16 +21,9 @@ from .state import CLOUD, NEAR, OPTIONS, WORK
 def _density_and_gradient(x, m, h, lists, kernel, rho, grad, r):
     """Summation density 002 (19) and gradient (20) with the averaged kernel (15).
 
-    Parameters
-    ----------
-    x : ndarray, shape (N + G, n)
-        Particles, and images of them that count as neighbours only.
-    m, h : ndarray, shape (N + G,)
-    lists : (start, neighbors)
-    kernel : (kind, C_n)
-    rho : ndarray, shape (N,), written
-    grad : ndarray, shape (N, n), written
-    r : ndarray, one distance for each entry of the neighbour lists, written
+    The last G of the particles x (N + G, n), m and h (N + G,) are images, which count as neighbours only;
+    `lists` are (start, neighbors), and `kernel` is (kind, C_n). Written are rho (N,), grad (N, n), and a
+    distance r for each entry of the neighbour lists.
     """
     start, neighbors = lists
     kind, C = kernel
