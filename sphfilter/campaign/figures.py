@@ -9,29 +9,41 @@ from numpy.typing import NDArray
 
 from .. import consistency
 from .._lines import in_a_line
-from .._types import Bools, Floats
+from .._types import Bools, Floats, Ints
 from ..consistency import p_values
 from ..filter.results import FilterResult
 
 
 @dataclass(frozen=True, kw_only=True)
 class Innovations:
-    """Measurements against their predictions."""
+    """Measurements against their predictions.
 
-    n_measurements: int  # that came, over all runs
-    acceptance: float  # fraction of these that was used
-    #: Normalised innovation squared per degree of freedom, over all measurements that came; one is right.
-    #: Rejected measurements count: a filter must not look better for measurements that it refused.
+    Attributes
+    ----------
+    n_measurements, acceptance : int, float
+        Measurements that came, over all runs, and the fraction of these measurements that was used.
+    nis : float
+        Normalised innovation squared per degree of freedom, over all measurements that came; one is right.
+        Rejected measurements count: a filter must not look better for measurements that it refused.
+    nis_accepted : float
+        The same number over the measurements that were used, with their own degrees of freedom: below one
+        where a test of acceptance cuts tails off.
+    nis_inside : float
+        Fraction of the epochs whose sum over the runs lies in the 95 % interval of χ² with as many degrees of
+        freedom as components came there.
+    whiteness : float
+        Correlation of successive innovations, averaged over the runs; zero is right.
+    whiteness_p : float
+        p-value of that zero, from the products of successive innovations: the average of products is zero for
+        innovations of every shape, the average of correlations is not zero for skewed innovations.
+    """
+
+    n_measurements: int
+    acceptance: float
     nis: float
-    #: The same number over the measurements that were used, with their own degrees of freedom: below one
-    #: where a test of acceptance cuts tails off.
     nis_accepted: float
-    #: Fraction of the epochs whose sum over the runs lies in the 95 % interval of χ² with as many degrees of
-    #: freedom as components came there.
     nis_inside: float
-    whiteness: float  # correlation of successive innovations, averaged over the runs; zero is right
-    #: p-value of that zero, from the products of successive innovations: the average of products is zero for
-    #: innovations of every shape, the average of correlations is not zero for skewed innovations.
+    whiteness: float
     whiteness_p: float
 
 
@@ -39,16 +51,25 @@ class Innovations:
 class Ranks:
     """Ranks of measurements in predictions and of truths in posteriors, all uniform if the filter is right.
 
-    Their p-values are NaN where ranks are not tested (fewer than ten runs, or eight readings).
+    Attributes
+    ----------
+    pit, state_pit : ndarray, shapes (k, 10), (n, 10)
+        Histograms of the ranks, as fractions: .1 in each bin is right.
+    hpd : ndarray, shape (10,)
+        Histogram of the ranks among regions of highest density; NaN for samples, which have no density.
+    pit_p, state_pit_p, hpd_p : ndarray, shapes (k,), (n,), and float
+        p-values of uniform ranks; NaN where ranks are not tested (fewer than ten runs, or eight readings).
+    outside_95 : float
+        How often the truth lies outside the region of highest density that holds 95 %; .05 is right.
     """
 
-    pit: Floats  # (k, 10), histograms of the ranks of measurements, as fractions: .1 in each bin is right
-    state_pit: Floats  # (n, 10), those of truths
-    hpd: Floats  # (10,), of truths among regions of highest density; NaN for samples, which have no density
-    pit_p: Floats  # (k,), p-values of uniform ranks
-    state_pit_p: Floats  # (n,)
+    pit: Floats
+    state_pit: Floats
+    hpd: Floats
+    pit_p: Floats
+    state_pit_p: Floats
     hpd_p: float
-    outside_95: float  # how often truths lie outside the region of highest density of 95 %; .05 is right
+    outside_95: float
 
     __repr__ = in_a_line
 
@@ -59,34 +80,68 @@ class FilterReport:
 
     Runs in which the filter failed (raised, or gave something that is not finite) count in `n_failed` and
     nowhere else.
+
+    Attributes
+    ----------
+    n_runs, n_failed : int
+        All runs, and those failed.
+    max_peak_error, mean_peak_error : ndarray, shape (n,)
+        Largest absolute error of a run: its maximum and mean over the runs (002 Tables 7, 9, 11).
+    rms_error, rms_error_std : ndarray, shape (n,)
+        Root mean square over runs and epochs, and its standard error, estimated from the differences
+        between runs (NaN for one run).
+    run_time : float
+        Median wall-clock seconds of a run; NaN if unknown.
+    nees : float
+        Average NEES over runs and epochs; n for a consistent filter.
+    nees_inside, nees_inside_one_sided : float
+        Fraction of the epochs whose run-averaged NEES lies in its 95 % interval.
+    nees_above, nees_below : float
+        Fractions of the epochs above and below the two-sided interval.
+    exits, exits_p : int, float
+        Epochs outside of that interval, and the p-value of so many epochs at the referee's rate (at a rate of
+        one in twenty, if the referee's is lower). The p-value is NaN without a referee.
+    nmee, nmee_p : ndarray, shape (n,)
+        Average NMEE, zero for a consistent filter, and the p-value of that zero (NaN for few runs).
+    nmee_inside : ndarray, shape (n,)
+        Fraction of the epochs whose run-averaged NMEE lies in its 95 % interval.
+    n_rejected : int
+        Measurements the filter rejected, over all runs.
+    n_diverged : int
+        Runs that diverged, by `consistency.diverged`: the NEES averaged over 5 updates exceeds its 99.99 %
+        point.
+    log_evidence, log_evidence_std : float
+        Log-evidence of a run, averaged over the runs, and the standard error of the average.
+    innovations : Innovations
+    ranks : Ranks
+    verdict : str
+        All these figures in one sentence.
     """
 
     n_runs: int
     n_failed: int
-    max_peak_error: Floats  # (n,), largest absolute error of a run, at most (002 Tables 7, 9, 11)
-    mean_peak_error: Floats  # and averaged over the runs
-    rms_error: Floats  # (n,), root mean square over runs and epochs
-    rms_error_std: Floats  # its standard error, by the differences between runs (NaN for one run)
-    run_time: float  # median wall-clock seconds of a run; NaN if unknown
-    nees: float  # average NEES over runs and epochs; n for a consistent filter
-    nees_inside: float  # fraction of the epochs whose run-averaged NEES lies in its 95 % interval
+    max_peak_error: Floats
+    mean_peak_error: Floats
+    rms_error: Floats
+    rms_error_std: Floats
+    run_time: float
+    nees: float
+    nees_inside: float
     nees_inside_one_sided: float
-    nees_above: float  # fractions of the epochs above and below the two-sided interval
+    nees_above: float
     nees_below: float
-    exits: int  # epochs outside of that interval
-    nmee: Floats  # (n,), average NMEE, zero for a consistent filter
-    nmee_p: Floats  # p-value of that zero (NaN for few runs)
-    nmee_inside: Floats  # (n,), fraction of the epochs whose run-averaged NMEE lies in its 95 % interval
-    n_rejected: int  # measurements the filter rejected, over all runs
-    n_diverged: int  # runs whose NEES, averaged over 5 updates, exceeds its 99.99 % point
-    log_evidence: float  # of a run, averaged over the runs
-    log_evidence_std: float  # standard error of that average
+    exits: int
+    nmee: Floats
+    nmee_p: Floats
+    nmee_inside: Floats
+    n_rejected: int
+    n_diverged: int
+    log_evidence: float
+    log_evidence_std: float
     innovations: Innovations
     ranks: Ranks
-    #: p-value of so many exits at the referee's rate (at a rate of one in twenty, if the referee's is lower);
-    #: NaN without a referee.
     exits_p: float = np.nan
-    verdict: str = ""  # all these figures in one sentence
+    verdict: str = ""
 
     __repr__ = in_a_line
 
@@ -188,15 +243,13 @@ def _innovations_of(
     square, dof = consistency.nis(y, S), seen.sum(axis=2)
     whole = np.where(np.all(seen, axis=2)[..., None], innovation, np.nan)
     white, products = consistency.whiteness(whole, S), consistency.lagged_products(whole, S)
-    total = dof.sum(axis=0)
-    over_runs = np.where(total > 0, (square * told).sum(axis=0) / np.maximum(total, 1), np.nan)
-    bounds = consistency.nees_bounds(1, np.maximum(total, 1))
+    bounds = consistency.nees_bounds(1, np.maximum(dof.sum(axis=0), 1))
     return Innovations(
         n_measurements=int(came.sum()),
         acceptance=_ratio(np.sum(came & accepted), came.sum()),
         nis=_ratio(square[told].sum(), dof[told].sum()),
         nis_accepted=_ratio(square[used].sum(), dof[used].sum()),
-        nis_inside=float(consistency.fraction_inside(over_runs, bounds)),
+        nis_inside=float(consistency.fraction_inside(_ratios(square * told, dof), bounds)),
         whiteness=float(np.nanmean(white)) if np.isfinite(white).any() else np.nan,
         whiteness_p=p_values.same_mean(products[:, None], 0.0),
     )
@@ -219,3 +272,9 @@ def _ranks_of(pit: Floats, state_pit: Floats, hpd_rank: Floats) -> Ranks:
 
 def _ratio(part: Any, whole: Any) -> float:
     return float(part / whole) if whole else np.nan
+
+
+def _ratios(square: Floats, dof: Ints) -> Floats:
+    """Sums over the runs per degree of freedom, shape (T,); NaN where nothing came."""
+    total = dof.sum(axis=0)
+    return np.where(total > 0, square.sum(axis=0) / np.maximum(total, 1), np.nan)

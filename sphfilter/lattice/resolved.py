@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.special import gammaincc
 
-from .._types import Floats, OfStates
+from .._types import Bools, Floats, OfStates
 from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS, Walls
 from ..core.limits import LARGEST_EXPONENT, ROUNDING, SAID, TINY
@@ -153,7 +153,7 @@ def _between(laid: LatticeDensity, parts: list[_Part]) -> float:
     most = -math.inf
     for part in parts:
         unknown = part.w @ (_above(laid, part) & ~_beside(laid, part))
-        most = max(most, math.log(max(unknown, TINY)) + part.log_mass - laid.log_mass)
+        most = max(most, math.log(max(float(unknown), TINY)) + part.log_mass - laid.log_mass)
     return 1.0 / (1.0 + math.exp(min(-most, LARGEST_EXPONENT)))
 
 
@@ -165,12 +165,12 @@ def _missing(laid: LatticeDensity, part: _Part) -> tuple[float, float]:
     return float(w.sum()), float(w @ felt(laid.mean, laid.cov, x))
 
 
-def _beside(laid: LatticeDensity, part: _Part) -> Any:
+def _beside(laid: LatticeDensity, part: _Part) -> Bools:
     """Whether states (M,) of a part lie in cells without a node."""
     return ~lattice_field.inside_lattice(laid.field, moved_in(laid.walls, laid.field.A, part.x))
 
 
-def _above(laid: LatticeDensity, part: _Part) -> Any:
+def _above(laid: LatticeDensity, part: _Part) -> Bools:
     """Whether the polynomials know nothing of states (M,) of a part: where its density is far above them."""
     if part.log_p is None:
         return np.zeros(len(part.x), dtype=bool)
