@@ -51,18 +51,26 @@ class _Listener(event.Listener):
             if self.collects:
                 gc.disable()
         self.depth += 1
-        folder = config.CACHE_DIR or event.data["dispatcher"].stats.cache_path  # None of what is not kept
+        stats = getattr(event.data["dispatcher"], "stats", None)  # which loops of Python's have not
+        folder = config.CACHE_DIR or (stats and stats.cache_path)  # None of what is not kept
         late = self.ours and not self.said and self.seconds + monotonic() - self.began > PATIENCE
         if late and folder is not None:
             self.said = True
             _LOGGER.warning(_COMPILING, folder)
 
     def on_end(self, event):
+        if self.depth == 0:  # it began before anybody listened
+            return
         self.depth -= 1
         if self.depth == 0 and self.ours:
             config.OPT = self.usual
             self.seconds += monotonic() - self.began
-        if self.depth == 0 and self.collects:
+        if self.depth == 0:
+            self.collect()
+
+    def collect(self):
+        """Let garbage be collected again."""
+        if self.collects:
             gc.enable()
 
 
@@ -72,7 +80,10 @@ def _is_ours(dispatcher):
 
 def listen():
     """Tell the user where compiling takes long."""
-    event.register("numba:compile", _Listener())
+    listener = _Listener()
+    event.register("numba:compile", listener)
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=listener.collect)  # what another thread compiles has no end there
 
 
 def find_folder():

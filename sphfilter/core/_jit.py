@@ -69,7 +69,8 @@ def _jitted(function, cached, **options):
 def jit(function):
     """Compile lazily, in nopython mode; division by zero gives inf, as in numpy.
 
-    Cached on disk, but for private functions: their code is part of those that call them.
+    Cached on disk, but for private functions: their code is part of those that call them. Functions may call
+    themselves, and not each other in turn: linked ones would not find the way back.
     """
     private = function.__name__.startswith("_")
     return _jitted(function, not private, no_cfunc_wrapper=True)  # C does not call them

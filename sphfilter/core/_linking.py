@@ -9,6 +9,7 @@ cache takes .55 of the time that way (seconds of the processor, measured in turn
 """
 
 import ctypes
+import sys
 from contextlib import contextmanager
 
 from llvmlite.binding import parse_bitcode
@@ -38,7 +39,8 @@ class _Waiting(event.Listener):
         self.stack.append((function, isinstance(function, Jitted) or self.inside))
 
     def on_end(self, event):
-        self.stack.pop()
+        if len(self.stack) > 2:  # else it began before anybody listened
+            self.stack.pop()
 
     @property
     def inside(self):
@@ -50,7 +52,8 @@ class _Waiting(event.Listener):
         (_, asked), (function, inside) = self.stack[-2:]
         if isinstance(function, Jitted) and fndesc.qualname == function.py_func.__qualname__:
             return asked
-        return inside and fndesc.modname.partition(".")[0] == "numba"
+        exported = getattr(sys.modules.get(fndesc.modname), fndesc.qualname, None) is function  # to Python
+        return inside and fndesc.modname.partition(".")[0] == "numba" and not exported
 
 
 _WAITING = _Waiting()
@@ -69,7 +72,7 @@ def alone():
 
 def is_linked(compiled):
     """Whether a compiled function is part of others alone."""
-    return getattr(compiled.library, "linked", False)  # numba's own library where it was compiled before
+    return getattr(compiled.library, "linked", False)  # numba's own where it was made before
 
 
 class _Library(JITCodeLibrary):
@@ -162,7 +165,7 @@ class _Context(CPUContext):
         if not library._finalized and _WAITING.links(fndesc):
             library.linked = True
             library.finalize()
-        if library.linked:
+        if getattr(library, "linked", False):  # numba's own where it was made before
             name = fndesc.qualname.rpartition(".")[2]
             return _dynfunc.make_function(fndesc.lookup_module(), name, "linked", _NOBODY, env, (library,))
         found = super().get_executable(library, fndesc, env)
@@ -172,6 +175,9 @@ class _Context(CPUContext):
                 if environment is not None:  # of a function that is linked into this one
                     library.codegen.set_env(variable.name, environment)
         return found
+
+
+_Context.__module__, _Context.__name__ = CPUContext.__module__, CPUContext.__name__  # told in users' messages
 
 
 def install():

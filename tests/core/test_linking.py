@@ -110,6 +110,71 @@ def test_threads_find_compiled_code():
     assert sorted(np.sum(f) for f in found) == [6.0] * 4
 
 
+#: What numba compiles for others: loops in Python, what begins before the package is imported, a typed list
+#: that is made while a function is compiled.
+OTHERS = """
+from threading import Event, Thread
+import numpy as np
+from numba import njit, objmode, vectorize
+from numba.extending import overload
+from numba.typed import List
+
+begun, imported = Event(), Event()
+
+def slow(x):
+    return x
+
+@overload(slow)
+def of_slow(x):
+    begun.set()
+    imported.wait(60)
+    return lambda x: x + 1.0
+
+found = []
+thread = Thread(target=lambda: found.append(njit(lambda x: np.sort(x)[0] + slow(0.0))(np.ones(2))))
+thread.start()
+begun.wait(60)
+import sphfilter as sf
+from sphfilter.core._jit import jit
+imported.set()
+thread.join()
+
+@njit
+def told(x):
+    with objmode(y="float64"):
+        y = float(str(x))
+    return y
+
+def listed(x):
+    return x
+
+@overload(listed)
+def of_listed(x):
+    values = List([1.0])
+    return lambda x: x + 1.0
+
+@njit
+def through(x):
+    return listed(x)
+
+@jit
+def ours(x):
+    return through(x)
+
+model = sf.SDE(lambda X, t: -X, dim=1, noise=[[1.0]], vectorized=True)
+print(*found, told(1.5), ours(1.0), List([2.0])[0], *model.drift([[3.0]], 0.0)[0])
+print(vectorize(["float64(float64)"])(lambda x: x + 1)(1.0), njit(lambda x: np.median(x))(np.ones(3)))
+"""
+
+
+def test_the_import_leaves_alone_what_others_compile(tmp_path):
+    (tmp_path / "others.py").write_text(OTHERS)
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | {"HOME": str(tmp_path)}
+    command = [sys.executable, tmp_path / "others.py"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.stdout.split() == ["2.0", "1.5", "2.0", "2.0", "-3.0", "2.0", "1.0"], done.stderr
+
+
 def test_what_numba_compiles_for_others_is_as_ever():
     """Values that go by other ways than a jitted function's."""
 
