@@ -25,7 +25,7 @@ def compile() -> float:
     Returns
     -------
     float
-        Seconds that it took: two or three minutes where nothing is kept, a few seconds where all is.
+        Seconds that it took: some two minutes where nothing is kept, a few seconds where all is.
 
     Examples
     --------
