@@ -67,7 +67,7 @@ class Entry:
 
 def _compiled(function, arguments):
     found = function.overloads.get(arguments)
-    if found is None or is_linked(found):
+    if found is None or is_linked(found.library):
         with alone():
             function.compile(arguments)
     return function.overloads[arguments]

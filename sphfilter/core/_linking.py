@@ -70,9 +70,9 @@ def alone():
             _WAITING.stack.pop()
 
 
-def is_linked(compiled):
-    """Whether a compiled function is part of others alone."""
-    return getattr(compiled.library, "linked", False)  # numba's own where it was made before
+def is_linked(library):
+    """Whether the code of a function's library is part of others alone."""
+    return getattr(library, "linked", False)  # numba's own library where it was made before
 
 
 class _Library(JITCodeLibrary):
@@ -122,7 +122,7 @@ class _Cache(FunctionCache):
 
     def load_overload(self, sig, target_context):
         found = super().load_overload(sig, target_context)
-        return None if found is not None and is_linked(found) and not _WAITING.inside else found
+        return None if found is not None and is_linked(found.library) and not _WAITING.inside else found
 
 
 class Jitted(CPUDispatcher):
@@ -132,7 +132,7 @@ class Jitted(CPUDispatcher):
         self._cache = _Cache(self.py_func)
 
     def add_overload(self, cres):
-        if is_linked(cres):
+        if is_linked(cres.library):
             self.overloads[tuple(cres.signature.args)] = cres
         else:
             super().add_overload(cres)
@@ -146,7 +146,7 @@ class Jitted(CPUDispatcher):
     def _forget(self, sig):
         """Let go of the linked code of a signature."""
         arguments = tuple(sigutils.normalize_signature(sig)[0])
-        if arguments in self.overloads and is_linked(self.overloads[arguments]):
+        if arguments in self.overloads and is_linked(self.overloads[arguments].library):
             del self.overloads[arguments]
 
 
@@ -165,7 +165,7 @@ class _Context(CPUContext):
         if not library._finalized and _WAITING.links(fndesc):
             library.linked = True
             library.finalize()
-        if getattr(library, "linked", False):  # numba's own where it was made before
+        if is_linked(library):
             name = fndesc.qualname.rpartition(".")[2]
             return _dynfunc.make_function(fndesc.lookup_module(), name, "linked", _NOBODY, env, (library,))
         found = super().get_executable(library, fndesc, env)
