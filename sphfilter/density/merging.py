@@ -17,16 +17,17 @@ _NEIGHBOURS, _LOOKED_AT = 6, 32
 _LIGHT = 0.02  # share from which on less is allowed; measured: half and twice move means by .001 at most
 
 
-def merged(pieces: Pieces, most: float) -> tuple[Pieces, float]:
+def merged(pieces: Pieces, most: float, reach: float = 1.0) -> tuple[Pieces, float]:
     """Merge pairs of pieces, the most alike first, until log p would change by more than `most`.
 
     How much it changes is the rms over the pair, with the changes of earlier mergers added; of light pieces
-    it may be more. Returns the pieces, and the change of log p, averaged over the mass.
+    it may be more. With a `reach` it is asked so many times as far out. Returns the pieces, and the change of
+    log p, averaged over the mass.
     """
     total = np.logaddexp.reduce(pieces.log_w)
     debt, alive = np.zeros(len(pieces.log_w)), np.ones(len(pieces.log_w), dtype=bool)
     pairs = _pairs(pieces, alive, np.arange(len(debt)))
-    joined = _together(pieces, pairs, debt, total)
+    joined = _together(pieces, pairs, debt, total, reach)
     while len(pairs):
         chosen = _disjoint(pairs, joined.cost, most)
         if not chosen.any():
@@ -39,7 +40,7 @@ def merged(pieces: Pieces, most: float) -> tuple[Pieces, float]:
         pieces = Pieces(*(np.concatenate(part) for part in parts))
         left = np.asarray(alive[pairs].all(axis=1))
         more = _pairs(pieces, alive, new)
-        fresh = _together(pieces, more, debt, total)
+        fresh = _together(pieces, more, debt, total, reach)
         pairs, joined = np.concatenate([pairs[left], more]), joined.some(left).and_(fresh)
     found = pieces.some(alive)
     return found.normalised(), float(found.w @ debt[alive])
@@ -91,7 +92,7 @@ def _places(pieces: Pieces, own: Ints) -> Floats:
     return np.hstack([some.mean @ back.T, np.log(scale), lower])
 
 
-def _together(pieces: Pieces, pairs: Ints, debt: Floats, total: float) -> _Joined:
+def _together(pieces: Pieces, pairs: Ints, debt: Floats, total: float, reach: float) -> _Joined:
     """Pairs as one Gaussian each, and what that changes."""
     log_w = np.logaddexp(*pieces.log_w[pairs].T)
     share = np.exp(pieces.log_w[pairs] - log_w[:, None])
@@ -101,6 +102,7 @@ def _together(pieces: Pieces, pairs: Ints, debt: Floats, total: float) -> _Joine
     cov = np.einsum("ps,psac,psbc->pab", share, own, own) + np.einsum("ps,psa,psb->pab", share, off, off)
     root = root_of(cov)
     xi, u = nodes(mean.shape[1])
+    xi = reach * xi
     back = np.linalg.inv(own)
     z = xi @ np.swapaxes(back @ root[:, None], -1, -2) - np.swapaxes(back @ off[..., None], -1, -2)
     each = np.log(share) + np.linalg.slogdet(back)[1]

@@ -1,5 +1,6 @@
 """A density for each mode of a model that switches, and their probabilities."""
 
+import math
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -8,26 +9,27 @@ import numpy as np
 from scipy.special import logsumexp
 
 from .._types import Floats
+from ..core.limits import TINY
 from ..errors import PropagationError
 from .particle_density import ParticleDensity
+from .points import moments_of_sum
 from .weighted import WeightedStates
 
 
 class SplittingError(NamedTuple):
-    """Where a density is wrong: states X (M, n), and probabilities (M,) that are too many or few there."""
+    """Where a density is wrong: states X (M, n), and probabilities (M,) that are too many or few there.
+
+    `mass` is the part of the probability that moves the mean: those that only spread more have none.
+    """
 
     X: Floats
     off: Floats
-
-    @property
-    def mass(self) -> float:
-        """Part of the probability that is wrong."""
-        return min(float(self.off.sum()), 1.0)
+    mass: float
 
 
 def no_ripple(n: int) -> SplittingError:
     """The splitting error of a density that has none."""
-    return SplittingError(np.empty((0, n)), np.empty(0))
+    return SplittingError(np.empty((0, n)), np.empty(0), 0.0)
 
 
 class ModeDensities:
@@ -36,9 +38,8 @@ class ModeDensities:
     Logarithms log_w (M,) of the modes' probabilities may lack a constant; they are minus infinity where there
     is none, and there alone a density may be None. `splitting` (M,) are estimated errors of the densities
     that come from jumps between the modes, not those of the densities themselves, and `ripples` the part of
-    these that the last prediction has added; `unsure` (M,) are variances of the errors that log_w has of the
-    evidence that points have told; none where sums did. Raises `PropagationError` if all probabilities are
-    zero.
+    these that the last prediction has added; `unsure` (M,) are variances of the errors that log_w has, of
+    evidences and of jumps. Raises `PropagationError` if all probabilities are zero.
     """
 
     def __init__(
@@ -58,7 +59,8 @@ class ModeDensities:
         self.log_w.flags.writeable = False
         self.densities = tuple(densities)
         self.splitting = np.zeros(len(log_w)) if splitting is None else splitting
-        self.ripples, self.unsure = ripples, unsure
+        self.unsure = np.zeros(len(log_w)) if unsure is None else unsure
+        self.ripples = ripples
 
     @classmethod
     def alike(cls, w: Floats, density: ParticleDensity, summed: bool) -> "ModeDensities":
@@ -68,9 +70,10 @@ class ModeDensities:
         with np.errstate(divide="ignore"):
             return cls(np.log(w), [density] * len(w))
 
-    def split(self, splitting: Floats, ripples: Sequence[SplittingError]) -> "ModeDensities":
-        """Densities of the modes with other errors that come from jumps."""
-        return ModeDensities(self.log_w, self.densities, splitting, ripples, self.unsure)
+    def noted(self, **known: Any) -> "ModeDensities":
+        """The same densities with another `splitting`, `ripples` or `unsure`."""
+        own = {name: getattr(self, name) for name in ("splitting", "ripples", "unsure")}
+        return ModeDensities(self.log_w, self.densities, **own | known)
 
     def cut(self, most: int) -> "ModeDensities":
         """Densities of the modes that go on as so many points each, where their memory chooses the number."""
@@ -107,11 +110,15 @@ class ModeDensities:
         return max(self.some, key=lambda mode: mode[1])[2]
 
     @cached_property
+    def _own_moments(self) -> list[tuple[int, float, Floats, Floats]]:
+        """Number, probability, mean (n,) and covariance (n, n) of every mode that has one."""
+        return [(i, math.exp(log_w), p.mean(), p.cov()) for i, log_w, p in self.some]
+
+    @cached_property
     def moments(self) -> tuple[Floats, Floats]:
         """Mean (n,) and covariance (n, n) over all modes; read-only. The mean of an angle is a direction."""
         domain = self.heaviest.domain
-        each = [(np.exp(log_w), p.mean(), p.cov()) for _, log_w, p in self.some]
-        w, means, covs = (np.array(part) for part in zip(*each, strict=True))
+        _, w, means, covs = (np.array(part) for part in zip(*self._own_moments, strict=True))
         mean = w @ means
         off = means - mean
         if domain is not None:
@@ -126,19 +133,43 @@ class ModeDensities:
         mean.flags.writeable = cov.flags.writeable = False
         return mean, cov
 
+    @cached_property
+    def in_doubt(self) -> Floats:
+        """Probabilities (M,) that those of the modes may be off by, as `unsure` says: of all, one at most."""
+        unsure = np.sqrt(self.unsure)
+        with np.errstate(divide="ignore"):  # w (exp(unsure) - 1), of however little a w
+            return np.asarray(np.exp(np.minimum(self.log_w + unsure + np.log(-np.expm1(-unsure)), 0.0)))
+
+    def apart(self, came: Floats) -> Floats:
+        """By how much (M, M) a row's mode is off what comes to a column's by `came` (M, M): one at most.
+
+        A mean by as many standard deviations, a variance by twice as many parts.
+        """
+        found = np.zeros(came.shape)
+        rows, w, means, covs = (np.array(part) for part in zip(*self._own_moments, strict=True))
+        for j, parts in enumerate((w[:, None] * came[rows]).T):
+            if parts.any():
+                mean, cov = moments_of_sum(parts / parts.sum(), means, covs)
+                variances = np.maximum(np.diag(cov), TINY)
+                wider = np.diagonal(covs, axis1=1, axis2=2) / variances - 1.0
+                found[rows, j] = np.sqrt(np.mean((means - mean) ** 2 / variances + 0.5 * wider**2, axis=1))
+        return np.minimum(found, 1.0)
+
     @property
     def error(self) -> float:
         """Estimated error of the means, in standard deviations: rms over the modes.
 
-        Of probabilities w_i with errors w_i ε_i the mean over all is off by Σ w_i ε_i (m_i - m).
+        Of probabilities in doubt d_i the mean over all is off by Σ d_i (m_i - m). Beyond a mode's own these
+        are not known to lie where that is, but about a standard deviation off.
         """
         own = [np.exp(log_w) * (p.error**2 + self.splitting[i] ** 2) for i, log_w, p in self.some]
-        if self.unsure is not None:
+        if self.unsure.any():
             mean, cov = self.moments
-            domain = self.heaviest.domain
-            for i, log_w, p in self.some:
+            domain, w = self.heaviest.domain, self.w
+            for i, _, p in self.some:
                 off = p.mean() - mean if domain is None else domain.nearest((p.mean() - mean)[None])[0]
-                own.append(np.exp(2.0 * log_w) * self.unsure[i] * np.mean(off**2 / np.diag(cov)))
+                known = min(self.in_doubt[i], w[i])
+                own += [known**2 * np.mean(off**2 / np.diag(cov)), (self.in_doubt[i] - known) ** 2]
         return float(np.sqrt(sum(own)))
 
     def logpdf(self, X: Floats) -> Floats:

@@ -170,8 +170,7 @@ def _prediction(arrays: Arrays, model: JumpMarkovModel) -> ModesPrediction | Non
 
 def _stored_modes(modes: ModeDensities) -> Arrays:
     """Densities by mode as arrays; `_modes_from` makes the same densities of them, to the last bit."""
-    arrays = {"log_w": modes.log_w, "splitting": modes.splitting}
-    arrays |= {} if modes.unsure is None else {"unsure": modes.unsure}
+    arrays = {"log_w": modes.log_w, "splitting": modes.splitting, "unsure": modes.unsure}
     for i, density in enumerate(modes.densities):
         arrays |= {} if density is None else under(i, stored(density))
     for i, ripple in enumerate(modes.ripples or ()):
@@ -183,7 +182,12 @@ def _modes_from(arrays: Arrays) -> ModeDensities:
     log_w = arrays["log_w"]
     each = [part(str(i), arrays) for i in range(len(log_w))]
     ripples = [
-        SplittingError(**part(f"ripple {i}", arrays)) for i in range(len(log_w)) if f"ripple {i}.X" in arrays
+        _ripple_from(part(f"ripple {i}", arrays)) for i in range(len(log_w)) if f"ripple {i}.X" in arrays
     ]
     densities = [density_from(some) if some else None for some in each]
     return ModeDensities(log_w, densities, arrays["splitting"], ripples or None, arrays.get("unsure"))
+
+
+def _ripple_from(arrays: Arrays) -> SplittingError:
+    X, off = arrays["X"], arrays["off"]
+    return SplittingError(X, off, float(arrays.get("mass", min(off.sum(), 1.0))))

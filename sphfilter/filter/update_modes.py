@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 
 from .._types import Floats
 from ..config import FilterConfig
-from ..core.limits import LARGEST_EXPONENT, SAID
+from ..core.limits import SAID
 from ..density.modes import ModeDensities
 from ..density.points import moments_of_sum
 from ..errors import PropagationError
@@ -32,9 +32,12 @@ class ModesUpdateInfo(UpdateInfo):
     modes : dict of str to UpdateInfo
         What was said of each mode; of one that has no probability, or whose density knows nothing of such a
         reading, nothing.
+    splitting_error : float
+        Estimated part of the posterior that the last prediction's steps have put at wrong states or modes.
     """
 
     modes: dict[str, UpdateInfo] = field(default_factory=dict)
+    splitting_error: float = 0.0
 
 
 def update_modes(
@@ -55,7 +58,7 @@ def update_modes(
         said: dict[str, Any] = {"accepted": True, "log_evidence": 0.0, "reason": NOTHING_CAME}
         return modes, ModesUpdateInfo(n_particles=modes.n_particles, error=modes.error, **said)
     log_w, densities = np.full(len(names), -math.inf), list(modes.densities)
-    splitting, unsure = modes.splitting.copy(), modes.unsure
+    splitting, unsure = np.zeros(len(names)), modes.unsure.copy()
     infos: dict[int, UpdateInfo] = {}
     problem: PropagationError | None = None
     for i, own, density in modes.some:
@@ -65,16 +68,20 @@ def update_modes(
             problem = problem or found
             continue
         log_w[i], densities[i] = own + infos[i].log_evidence, new
-        fresh, brought_out = _off(modes, i, sensors[names[i]], z, infos[i].log_evidence)
-        before = math.sqrt(max(splitting[i] ** 2 - fresh**2, 0.0))
-        left = shift_left_by_update(density.cov(), new.cov(), new.gaussian)
-        splitting[i] = math.hypot(left * before, brought_out)
-        if unsure is not None:
-            unsure = unsure + infos[i].evidence_error ** 2 * (np.arange(len(names)) == i)
+        fresh = 0.0 if modes.ripples is None else modes.ripples[i].mass
+        before = math.sqrt(max(modes.splitting[i] ** 2 - fresh**2, 0.0))
+        splitting[i] = shift_left_by_update(density.cov(), new.cov()) * before
+        unsure[i] += infos[i].evidence_error ** 2
     if problem is not None and not infos:
         raise problem
     log_evidence = float(logsumexp(log_w))
+    log_off = np.array([_log_off(modes, i, sensors[name], z) for i, name in enumerate(names)])
+    nothing = np.full(len(names), -math.inf)
+    brought_out = np.subtract(log_off, log_w, out=nothing, where=log_w > -math.inf)
+    splitting = np.hypot(splitting, np.exp(np.minimum(brought_out, 0.0)))
+    unsure = unsure + np.logaddexp(0.0, brought_out) ** 2
     posterior = ModeDensities(log_w, densities, np.minimum(splitting, 1.0), None, unsure)
+    off = float(np.exp(min(logsumexp(log_off) - log_evidence, 0.0)))
     told = {names[i]: info for i, info in infos.items()}
     flagged = [(names[i], info) for i, info in infos.items() if info.flagged and posterior.w[i] > SAID]
     w = [float(posterior.w[i]) for i in infos]
@@ -89,27 +96,24 @@ def update_modes(
         error=posterior.error,
         # a density that is wrong by so many standard deviations of its mean is so by about as many nats
         evidence_error=math.hypot(
-            np.dot(w, [info.evidence_error for info in infos.values()]), posterior.error
+            np.dot(w, [info.evidence_error for info in infos.values()]), posterior.error, math.log1p(off)
         ),
         status="; ".join(f"{name}: {info.status}" for name, info in flagged if info.status != "ok") or "ok",
         code=reduce(or_, (info.code for _, info in flagged), Code.OK),
         scheme=", ".join(dict.fromkeys(info.scheme for info in infos.values())),
         modes=told,
+        splitting_error=off,
     )
 
 
-def _off(
-    modes: ModeDensities, i: int, sensor: Sensor, z: ArrayLike | None, log_evidence: float
-) -> tuple[float, float]:
-    """Part of a mode's probability that its last prediction got wrong, and of its posterior."""
+def _log_off(modes: ModeDensities, i: int, sensor: Sensor, z: ArrayLike | None) -> float:
+    """Logarithm of what the last prediction got wrong of a mode's part of the evidence."""
     if modes.ripples is None or not len(modes.ripples[i].X):
-        return 0.0, 0.0
-    X, off = modes.ripples[i]
-    density = modes.densities[i]
-    assert density is not None
-    X = X if density.domain is None else density.domain.fold(X)
-    weight = sensor.log_likelihood(z, X, density.t)
-    return modes.ripples[i].mass, float(off @ np.exp(np.minimum(weight - log_evidence, LARGEST_EXPONENT)))
+        return -math.inf
+    X, off, _ = modes.ripples[i]
+    about = modes.heaviest
+    X = X if about.domain is None else about.domain.fold(X)
+    return float(modes.log_w[i] + logsumexp(sensor.log_likelihood(z, X, about.t), b=off))
 
 
 def _innovation(infos: list[tuple[float, UpdateInfo]]) -> tuple[Floats | None, Floats | None]:

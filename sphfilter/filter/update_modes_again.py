@@ -1,21 +1,21 @@
 """A prediction of all modes repeated, where a measurement hangs on what its steps or mergers lost."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._types import Floats
 from ..config import FilterConfig
 from ..core.cloud.control import points_for
 from ..core.step_control import HELPED, MORE, TRIES
 from ..density.as_family import gaussians_of
 from ..density.memory import MISSED
 from ..density.modes import ModeDensities
-from ..info import Code, UpdateInfo
+from ..info import Code
 from ..model.measurements import Sensor
 from ..prediction.switching import (
     MOST_SUBSTEPS,
@@ -29,11 +29,7 @@ from .update_modes import ModesUpdateInfo, update_modes
 #: Prior, posterior, and what the update says.
 _Read = tuple[ModeDensities, ModeDensities, ModesUpdateInfo]
 
-_REPEATED = "the prediction before repeated in more steps of the jumps between modes"
 _COARSE = "steps of the jumps between modes leave {:.2g} of the posterior in doubt"
-#: Times less that an error is to be which a reading brings out. Measured: half and twice change no run.
-_FINEST = 250.0
-_APART = "the prediction before repeated with fewer Gaussians merged, for the reading is far out"
 _LATE = "no time to repeat the prediction before, in more steps of the jumps or with fewer Gaussians merged"
 _MERGED = "mergers of Gaussians leave {:.2g} nat of the log-evidence in doubt"
 #: Standard deviations of a reading from its prediction, beyond which mergers are not checked by their nodes,
@@ -60,42 +56,50 @@ def update_or_predict_modes_again(
     """
     target = config.target_error
     modes, info = update_modes(prior, sensors, z, config, n_particles)
-    off = float(modes.w @ modes.splitting)
-    far = _far(prior, modes.w, [info.modes.get(name) for name in sensors])
     if modes is prior or prediction is None:
         return prior, modes, info
+    far = _far(prediction, prior, modes, info)
+    again = partial(_again, prediction, prior.heaviest.t, sensors, z, config)
+    read = prior, modes, info
     if n_particles == "auto" and config.scheme == "auto" and goes_as_points(prior):
-        again = partial(_again, prediction, prior.heaviest.t, sensors, z, config)
-        prior, modes, info = _on_more_points(prediction, (prior, modes, info), again, target, fits)
-        off = float(modes.w @ modes.splitting)
-    if off <= target and not far:
-        return prior, modes, info
-    t, in_doubt = prior.heaviest.t, 0.0
-    more = off > target and prediction.n_substeps < MOST_SUBSTEPS
-    told = [(Code.REPEATED, what) for what, is_so in ((_REPEATED, more), (_APART, far)) if is_so]
-    finer = MORE * min(off / target, _FINEST) if more else 1.0
-    apart = far or 1.0
-    for _ in range(TRIES if far else int(more)):
-        if not fits(1.0):
-            told = [(Code.LATE, _LATE)]
-            break
-        before = info.log_evidence
-        finer, apart = (max(finer, MORE), MORE * apart) if far else (finer, apart)
-        prior, _ = predict_modes(
-            prediction.before, prediction.model, t, config, n_particles, finer=finer, apart=apart
-        )
-        modes, info = update_modes(prior, sensors, z, config, n_particles)
-        in_doubt = abs(info.log_evidence - before) if far else 0.0
-        if in_doubt <= _IN_DOUBT:
-            break
-    off = float(modes.w @ modes.splitting)
-    if off > MISSED * target:
-        told.append((Code.COARSE, _COARSE.format(off)))
+        read = _on_more_points(prediction, read, again, target, fits)
+    read, in_doubt, code = _finer(prediction, read, partial(again, n_particles), far, target, fits)
+    prior, modes, info = read
+    info = info.also(code, _LATE) if Code.LATE in code else info.noted(code=info.code | code)
+    if info.splitting_error > MISSED * target:
+        info = info.also(Code.COARSE, _COARSE.format(info.splitting_error))
     if in_doubt > _IN_DOUBT:
-        told.append((Code.COARSE, _MERGED.format(in_doubt)))
-    for code, sentence in told:
-        info = info.also(code, sentence)
+        info = info.also(Code.COARSE, _MERGED.format(in_doubt))
+    modes = modes.noted(unsure=modes.unsure + in_doubt**2)
     return prior, modes, replace(info, evidence_error=math.hypot(info.evidence_error, in_doubt))
+
+
+def _finer(
+    prediction: ModesPrediction,
+    read: _Read,
+    again: Callable[..., _Read],
+    far: float,
+    target: float,
+    fits: Callable[[float], bool],
+) -> tuple[_Read, float, Code]:
+    """Predict and update again in more steps, where these are in doubt, or with fewer Gaussians merged.
+
+    `far` is as of `_far`. Returns what was read, nats of its evidence that are in doubt, and what was done.
+    """
+    steps, apart, in_doubt, code = prediction.n_substeps, max(far, 1.0), 0.0, Code.OK
+    for _ in range(TRIES):
+        off = read[2].splitting_error
+        if not far and (off <= target or steps == MOST_SUBSTEPS):
+            break
+        if not fits(1.0):
+            return read, in_doubt, code | Code.LATE
+        # what steps get wrong falls as their square, or faster
+        steps = min(math.ceil(steps * math.sqrt(max(off / target, MORE))), MOST_SUBSTEPS)
+        before, reach, apart = read[2].log_evidence, max(math.sqrt(far) / _FAR, 1.0), MORE * apart
+        read, code = again(n_substeps=steps, apart=apart if far else 1.0, reach=reach), Code.REPEATED
+        in_doubt = abs(read[2].log_evidence - before) if far else 0.0
+        far = far if in_doubt > _IN_DOUBT else 0.0
+    return read, in_doubt, code
 
 
 def _again(
@@ -104,17 +108,20 @@ def _again(
     sensors: Mapping[str, Sensor],
     z: ArrayLike | None,
     config: FilterConfig,
-    points: int,
+    n_particles: int | str = "auto",
+    points: int | None = None,
+    **finer: Any,
 ) -> _Read:
-    """The prediction and the reading on another number of points in each mode."""
-    prior, _ = predict_modes(prediction.before.cut(points), prediction.model, t, config, "auto")
-    return prior, *update_modes(prior, sensors, z, config, "auto")
+    """The prediction and the reading once more: on so many points in each mode, or by other options."""
+    before = prediction.before if points is None else prediction.before.cut(points)
+    prior, _ = predict_modes(before, prediction.model, t, config, n_particles, **finer)
+    return prior, *update_modes(prior, sensors, z, config, n_particles)
 
 
 def _on_more_points(
     prediction: ModesPrediction,
     read: _Read,
-    again: Callable[[int], _Read],
+    again: Callable[..., _Read],
     target: float,
     fits: Callable[[float], bool],
 ) -> _Read:
@@ -126,26 +133,31 @@ def _on_more_points(
         more = points_for(points, modes.error, target, prior.heaviest.dim)
         if not modes.error > least or more <= points or not fits(more / points):
             break
-        other = again(more)
+        other = again(points=more)
         if not other[2].error < HELPED * info.error:
             break
         read = other[0], other[1].remembering(usual), other[2]
     return read
 
 
-def _far(prior: ModeDensities, w: Floats, infos: Sequence[UpdateInfo | None]) -> float:
-    """Square of a reading's distance from its prediction over modes of posterior probabilities w (M,).
+def _far(
+    prediction: ModesPrediction, prior: ModeDensities, modes: ModeDensities, info: ModesUpdateInfo
+) -> float:
+    """Square of a reading's distance from its prediction in a mode that it may be of, in standard deviations.
 
     Where mergers change log p by its rms near the middle, they change it so many times more there. Zero where
-    the reading is near, or nothing was merged.
+    the reading is near, or other densities than Gaussians were mixed. It may be of a mode that is left again
+    just before it comes, whatever mergers have left of that.
     """
-    several = [p for _, _, p in prior.some if not p.gaussian]
-    if not several or not all(gaussians_of(p) for p in several):
+    model = prediction.model
+    switches = model.transitions is not None or model.rates.any()
+    if not switches or not all(gaussians_of(p) for _, _, p in prior.some):
         return 0.0
-    square = 0.0
-    for share, info in zip(w, infos, strict=True):
-        if info is not None and info.innovation is not None and info.innovation_cov is not None:
-            square += float(share) * float(
-                info.innovation @ np.linalg.solve(info.innovation_cov, info.innovation)
-            )
-    return square if square > _FAR**2 else 0.0
+    w = np.maximum(modes.w, modes.w @ model.transition(prior.heaviest.t - prediction.before.heaviest.t))
+    squares = [0.0]
+    for name, share in zip(model.names, w.tolist(), strict=True):
+        own = info.modes.get(name)
+        if own is not None and own.innovation is not None and own.innovation_cov is not None:
+            square = float(own.innovation @ np.linalg.solve(own.innovation_cov, own.innovation))
+            squares += [square] if share * square > _FAR**2 else []
+    return max(squares)

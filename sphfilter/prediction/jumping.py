@@ -83,11 +83,16 @@ class Way(NamedTuple):
             found.append(np.einsum("i,ij->j", found[-1], P))
         return found
 
-    def unsure(self, modes: ModeDensities) -> Floats:
-        """Variances (M,) of what logarithms of probabilities at the end are off by; jumps even errors out."""
-        came = modes.w[:, None] * reduce(np.matmul, self.jumps, np.eye(len(modes.w)))
-        before = np.zeros(len(came)) if modes.unsure is None else modes.unsure
-        return np.asarray(before @ (came / np.maximum(came.sum(axis=0), TINY)) ** 2)
+    def in_doubt(self, modes: ModeDensities) -> tuple[Floats, Floats]:
+        """What probabilities in doubt make of the end: variances (M,) of log w, and wrong parts (M,).
+
+        Jumps even errors out; but of states that come from other modes, and lie elsewhere, are then too many.
+        """
+        came = reduce(np.matmul, self.jumps, np.eye(len(modes.w)))
+        whole = np.maximum(modes.w @ came, TINY)
+        off = modes.in_doubt[:, None] * came / whole
+        wrong = off * (1.0 - modes.w[:, None] * came / whole) * modes.apart(came)
+        return np.log1p(np.sqrt(np.sum(off**2, axis=0))) ** 2, np.sqrt(np.sum(wrong**2, axis=0))
 
     def modes_before(self, forward: list[Floats], j: int, u: Floats) -> Ints:
         """Modes (K, Q + 1) between the jumps of states that end in mode j, of numbers u (K,) below one.
@@ -132,7 +137,7 @@ def carried_with_jumps(
         if about.needs is not None:
             densities[j] = densities[j].noted(needs=about.needs.gone_on()._replace(points=count))
         infos[j] = info_of(model.modes[model.names[j]], count, stayed.steps, stayed.lost, error)
-    return ModeDensities(log_w, densities, modes.splitting, unsure=way.unsure(modes)), infos
+    return ModeDensities(log_w, densities, modes.splitting), infos
 
 
 class _Sources:

@@ -58,15 +58,23 @@ class Part(NamedTuple):
     density: ParticleDensity
 
 
-def mixed(parts: Sequence[Part], target: float, errors: tuple[float, float]) -> ParticleDensity:
+class Allowed(NamedTuple):
+    """Errors of the mean, in standard deviations, that merging Gaussians, and laying a lattice, may add."""
+
+    by_mergers: float
+    by_lattice: float
+    reach: float = 1.0  # times as far out as usual, that mergers are to change little
+
+
+def mixed(parts: Sequence[Part], target: float, errors: Allowed) -> ParticleDensity:
     """The sum of densities of one time, as one density, whose `error` has what its parts were wrong by, and
     what has been added.
 
     The logarithms of the parts' weights need not be normalised; one at least is finite. The target is the
-    error of the mean, in standard deviations, that a record may have, and `errors` are those that merging
-    Gaussians, and laying a lattice, may add. Raises `PropagationError` if nothing holds the sum.
+    error of the mean, in standard deviations, that a record may have, and `errors` are those that may be
+    added. Raises `PropagationError` if nothing holds the sum.
     """
-    allowed, by_lattice = errors
+    allowed = errors.by_mergers
     parts, lost = _heavy(_joined(parts), allowed)
     w = np.exp([part.log_w for part in parts])
     error = math.hypot(math.sqrt(float(w @ [part.density.error**2 for part in parts])), _AWAY * lost)
@@ -74,15 +82,14 @@ def mixed(parts: Sequence[Part], target: float, errors: tuple[float, float]) -> 
     if len(parts) == 1:
         return first.noted(error=error)
     first = first.noted(error=error, defect=None, needs=_needs(parts))
-    for way in (_as_pieces, _as_family):
-        found = way(parts, first, allowed)
-        if found is not None:
-            return found
+    found = _as_pieces(parts, first, errors) or _as_family(parts, first, allowed)
+    if found is not None:
+        return found
     needs = first.needs
     as_points = needs is not None and first.domain is None and prefers_cloud(first.dim, needs, target)
     if not as_points and all(part.density.read_out != "cloud" for part in parts):
         with suppress(PropagationError, np.linalg.LinAlgError):
-            return _on_lattice(parts, first, by_lattice)
+            return _on_lattice(parts, first, errors.by_lattice)
     return _as_cloud(parts, first, target)
 
 
@@ -135,7 +142,7 @@ def _needs(parts: Sequence[Part]) -> Memory | None:
     )
 
 
-def _as_pieces(parts: Sequence[Part], about: ParticleDensity, allowed: float) -> ParticleDensity | None:
+def _as_pieces(parts: Sequence[Part], about: ParticleDensity, errors: Allowed) -> ParticleDensity | None:
     """Gaussians, all of them, merged; None where a part is no sum of Gaussians."""
     several = []
     for part in parts:
@@ -144,20 +151,21 @@ def _as_pieces(parts: Sequence[Part], about: ParticleDensity, allowed: float) ->
             return None
         several.append(pieces._replace(log_w=pieces.log_w + part.log_w))
     union = Pieces(*(np.concatenate(part) for part in zip(*several, strict=True))).normalised()
-    kept = union.heavy(LITTLE * allowed, _AWAY)
+    kept = union.heavy(LITTLE * errors.by_mergers, _AWAY)
     lost = float(union.w[~kept].sum())
-    pieces, change = _few(*merged(union.some(kept).normalised(), _CHANGE * allowed), _CHANGE * allowed)
+    pieces, change = _few(union.some(kept).normalised(), _CHANGE * errors.by_mergers, errors.reach)
     error = math.hypot(about.error, OF_CHANGE * change, _AWAY * lost)
     return pieces_density(about, pieces, error=error).noted(needs=about.needs)
 
 
-def _few(pieces: Pieces, change: float, most: float) -> tuple[Pieces, float]:
-    """Pieces merged until they can be carried, and the change of log p, which is then more than asked for."""
+def _few(pieces: Pieces, most: float, reach: float) -> tuple[Pieces, float]:
+    """Pieces merged until they can be carried, and the change of log p: more than asked for, if need be."""
+    pieces, change = merged(pieces, most, reach)
     for _ in range(_COARSER):
         if len(pieces.log_w) <= _MOST_PIECES:
             break
         most *= 4.0
-        pieces, added = merged(pieces, most)
+        pieces, added = merged(pieces, most, reach)
         change += added
     return pieces, change
 

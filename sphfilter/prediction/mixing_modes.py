@@ -12,7 +12,7 @@ from ..core.limits import TINY
 from ..density.memory import error_budget
 from ..density.modes import ModeDensities
 from ..density.particle_density import ParticleDensity
-from .mixing import Part, mixed
+from .mixing import Allowed, Part, mixed
 
 
 def summed(
@@ -20,7 +20,7 @@ def summed(
     densities: Sequence[Sequence[ParticleDensity | None]],
     splitting: Floats,
     target: float,
-    allowed: tuple[float, float],
+    allowed: Allowed,
 ) -> ModeDensities:
     """In every mode the sum of densities, as one density.
 
@@ -55,10 +55,12 @@ def mixture(parts: Sequence[tuple[float, ModeDensities]], config: FilterConfig) 
     error = math.sqrt(float(b @ [modes.error**2 for _, modes in parts]))
     target = config.target_error
     allowed = error_budget(error, target)
-    return summed(log_w, [modes.densities for _, modes in parts], splitting, target, (allowed, allowed))
+    return summed(
+        log_w, [modes.densities for _, modes in parts], splitting, target, Allowed(allowed, allowed)
+    )
 
 
 def whatever_the_mode(modes: ModeDensities, target_error: float) -> ParticleDensity:
     """The density of the states: the sum of those of the modes, as one."""
-    each = target_error, target_error
+    each = Allowed(target_error, target_error)
     return mixed([Part(log_w, p) for _, log_w, p in modes.some], target_error, each)

@@ -1,6 +1,7 @@
 """Errors of densities between whose modes states jump at a few times of an interval only."""
 
 import math
+from collections.abc import Iterator, Sequence
 from functools import cache
 from typing import NamedTuple, cast
 
@@ -18,6 +19,8 @@ from ..lattice.level_set import root_of
 from ..model.discretization import exponential
 from ..model.jump_markov import JumpMarkovModel
 from ..model.sde import SDE
+
+_AWAY = 3  # times for which states are away, by Gauss's rule: exact to degree 2 · 3 - 1 = 5
 
 
 def jumps_of(model: JumpMarkovModel, dt: float) -> float:
@@ -122,6 +125,47 @@ def splitting_error(
     return off
 
 
+def with_excursions(
+    off: Sequence[SplittingError], modes: ModeDensities, model: JumpMarkovModel, dt: float, steps: int
+) -> list[SplittingError]:
+    """Splitting errors with where states may be that have left a mode and are back: for readings far out."""
+    P, found = modes.w @ model.transition(dt), []
+    for i, ripple in enumerate(off):
+        parts = [(mean, cov, wrong / P[i]) for mean, cov, wrong in _excursions(modes, model, i, dt, steps)]
+        if parts:
+            more = _absolute(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+            both = np.concatenate([ripple.X, more.X]), np.concatenate([ripple.off, more.off])
+            ripple = SplittingError(*both, ripple.mass)
+        found.append(ripple)
+    return found
+
+
+def _excursions(
+    modes: ModeDensities, model: JumpMarkovModel, i: int, dt: float, steps: int
+) -> Iterator[tuple[Floats, Floats, Floats]]:
+    """Gaussians of states that are back in mode i from each other one, and by how much they are too light.
+
+    In a part T of the interval λ_ik λ_ki (T - s) ds leave for s, and never else; for the steps those that are
+    back in the same part, Σ T² / 2, have stayed. All parts are taken for the widest, in the middle.
+    """
+    density, parts = modes.densities[i], dt * jump_times(steps, jumps_of(model, dt))[1]
+    there_and_back = model.rates[i] * model.rates[:, i] * (np.arange(len(modes.w)) != i)
+    if density is None or modes.w[i] == 0.0 or not there_and_back.any():
+        return
+    nodes, weights = np.polynomial.legendre.leggauss(_AWAY)
+    away = 0.5 * (1.0 + np.append(-1.0, nodes))
+    start, t, away_for = _narrow(density), modes.heaviest.t, parts.max() * away
+    around = _Flows.about(cast(SDE, model.modes[model.names[i]]), start[0], t, 0.5 * (dt - away_for[::-1]))
+    around = around.backwards()
+    for k in np.flatnonzero(there_and_back).tolist():
+        other = _Flows.about(cast(SDE, model.modes[model.names[k]]), start[0], t, away_for)
+        alone = np.exp(model.rates[i, i] * (dt - away_for) + model.rates[k, k] * away_for)
+        share = np.append(0.0, 0.5 * weights) * (1.0 - away) * alone
+        share[0] = -share.sum()
+        mass = modes.w[i] * there_and_back[k] * float(parts @ parts)
+        yield *around.of(*other.of(*around.of(*start))), mass * share
+
+
 def _narrow(density: ParticleDensity) -> tuple[Floats, Floats]:
     """Mean (n,) and covariance (n, n) of a density, or of its heaviest part with all that lies about it."""
     if density.pieces is None:
@@ -146,7 +190,8 @@ def _absolute(mean: Floats, cov: Floats, w: Floats) -> SplittingError:
     X = (several.mean[:, None] + net(each, n) @ several.root.transpose(0, 2, 1)).reshape(-1, n)
     step = max(1, ENTRIES // several.mean.size)
     ratio = np.concatenate([_balance(several, w, X[i : i + step]) for i in range(0, len(X), step)])
-    return SplittingError(X, np.repeat(np.abs(w) / each, each) * ratio)
+    off = np.repeat(np.abs(w) / each, each) * ratio
+    return SplittingError(X, off, min(float(off.sum()), 1.0))
 
 
 def _balance(several: Pieces, w: Floats, X: Floats) -> Floats:

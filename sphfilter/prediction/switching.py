@@ -31,10 +31,11 @@ from ..model.jump_markov import JumpMarkovModel
 from .again import Outcome, or_as_cloud
 from .jumping import UNLIKELY, Way, carried_with_jumps, suits
 from .ladder import as_asked
+from .mixing import Allowed
 from .mixing_modes import summed
 from .pieces import carried_exactly
 from .predict import predict
-from .splitting_error import jumps_of, splitting_error
+from .splitting_error import jumps_of, splitting_error, with_excursions
 
 MOST_SUBSTEPS = 256  # of an interval; measured: half and twice change no run
 #: Of the target, that the splitting of an interval may be off by. Measured: errors are .8 to 1.1 times as
@@ -79,23 +80,23 @@ def predict_modes(
     config: FilterConfig,
     n_particles: int | str,
     n_substeps: int | None = None,
-    finer: float = 1.0,
     apart: float = 1.0,
+    reach: float = 1.0,
 ) -> tuple[ModeDensities, ModesInfo]:
     """Carry the densities of all modes to time t1, seconds, later than they are.
 
-    The splitting has as many steps as its error asks for, unless `n_substeps` are given; that error is to be
-    `finer` times less than usual, and mergers of Gaussians are to change `apart` times less. The number of
-    particles is as of `predict`. Raises `PropagationError` if a mode that is not unlikely cannot be carried;
-    it says why.
+    The splitting has as many steps as its error asks for, unless `n_substeps` are given. Mergers of Gaussians
+    are to change `apart` times less than usual, `reach` times as far out. The number of particles is as of
+    `predict`. Raises `PropagationError` if a mode that is not unlikely cannot be carried; it says why.
     """
     t0, target, jumps = modes.heaviest.t, config.target_error, model.rates.any()
     steps, off = 1, [no_ripple(model.dim) for _ in model.names]
     if jumps and model.transitions is None:
-        steps, off = _steps(modes, model, t1 - t0, _SPLITTING * config.target_error / finer, n_substeps)
+        steps, off = _steps(modes, model, t1 - t0, _SPLITTING * config.target_error, n_substeps)
     told, way = _Told(model.names), Way.of(model, (t0, t1), steps)
     count = _points(modes, model, config, n_particles) if jumps else 0
-    moved = None if count else _in_turn(modes, model, way, config, n_particles, apart, told)
+    unsure, wrong = way.in_doubt(modes)
+    moved = None if count else _in_turn(modes, model, way, config, n_particles, (apart, reach), told)
     if moved is None:
         told, forced = _Told(model.names), isinstance(config.scheme, CloudScheme)
         moved, infos = carried_with_jumps(modes, model, way, count or points_of_modes(modes, target), target)
@@ -103,7 +104,8 @@ def predict_modes(
             told.hear(i, info if forced else as_asked(info, target))
     modes = moved
     whole = np.array([ripple.mass for ripple in off])
-    modes = modes.split(np.hypot(modes.splitting, whole), off)
+    splitting = np.sqrt(modes.splitting**2 + whole**2 + np.minimum(wrong, 1.0) ** 2)
+    modes = modes.noted(splitting=splitting, ripples=off, unsure=unsure)
     return modes, told.info(modes, steps, float(modes.w @ whole), target)
 
 
@@ -136,7 +138,7 @@ def _in_turn(
     way: Way,
     config: FilterConfig,
     n_particles: int | str,
-    apart: float,
+    apart: tuple[float, float],
     told: "_Told",
 ) -> ModeDensities | None:
     """The densities of all modes at the end of a way, which are carried, and mixed at its times of jumps.
@@ -146,7 +148,7 @@ def _in_turn(
     target, steps = config.target_error, max(len(way.jumps), 1)
     allowed = error_budget(modes.error, target)
     # what steps add to polynomials and pieces is alike, and adds up; of lattices it comes as it may
-    each = allowed / (steps + 1) / apart, allowed / math.sqrt(steps + 1)
+    each = Allowed(allowed / (steps + 1) / apart[0], allowed / math.sqrt(steps + 1), apart[1])
     smaller = [config.target_error / part for part in (steps, math.sqrt(steps), 1.0)]
     configs = dict(zip(_KINDS, (replace(config, target_error=error) for error in smaller), strict=True))
     for t, P in zip(way.times[1:-1].tolist(), way.jumps, strict=True):
@@ -193,7 +195,7 @@ class _Told:
         )
 
 
-def _switched(modes: ModeDensities, P: Floats, target: float, allowed: tuple[float, float]) -> ModeDensities:
+def _switched(modes: ModeDensities, P: Floats, target: float, allowed: Allowed) -> ModeDensities:
     """The densities after jumps of probabilities P (M, M) between modes, in which states do not move."""
     with np.errstate(divide="ignore"):
         log_P = np.log(P)
@@ -258,7 +260,7 @@ def _steps(
         off = splitting_error(modes, model, dt, steps)
         error = float(w @ [ripple.mass for ripple in off])
         if given is not None or error <= allowed or steps == MOST_SUBSTEPS:
-            return steps, off
+            return steps, with_excursions(off, modes, model, dt, steps)
         more = math.ceil(steps * (error / allowed) ** 0.25)  # errors of Gauss fall faster
         steps, pieces = min(max(more, steps + 1), 2 * steps), math.ceil(jumps_of(model, dt))
         steps = min(pieces * math.ceil(steps / pieces) if steps > pieces else steps, MOST_SUBSTEPS)

@@ -220,8 +220,6 @@ SAID = [
     lambda: sf.simulate(line("-x"), None, [0.0], [0.0, 1.0], rng="seed"),
     lambda: sf.propagate(laid(), line("-x"), [2.0, 1.0]),
     lambda: switched(100.0, 0.01, 1.0, [50.0]),
-    lambda: switched(1.0, 0.2, 0.01, [0.7]),
-    lambda: switched(1.0, 0.2, 0.1, [2.5]),
     lambda: sf.FilterConfig(target_eror=1.0),
     lambda: sf.FilterConfig(target_error=-1.0),
     lambda: sf.FilterConfig(scheme="papr"),

@@ -164,7 +164,7 @@ def test_a_sum_of_too_many_gaussians_is_merged_further_and_that_is_told():
     rng = np.random.default_rng(5)
     root = 0.5 * np.exp(rng.normal(0.0, 0.5, (600, 1, 1))) * np.eye(2)
     many = Pieces(np.zeros(600), rng.normal(0.0, 2.0, (600, 2)), root).normalised()
-    few, change = _few(many, 0.0, 5e-3)
+    few, change = _few(many, 5e-3, 1.0)
     assert len(few.log_w) <= 200
     assert change > 5e-3
     np.testing.assert_allclose(few.moments()[1], many.moments()[1], rtol=1e-9)
