@@ -79,11 +79,12 @@ def _fitted(density: ParticleDensity, degree: int) -> tuple[Family, float] | Non
     """The family next to a density, and its misfit; None where there is none."""
     if density.walls[0].size:
         return None
-    if density.read_out != "cloud":
+    own = density.form.own_points
+    if own is None:
         return family_of(density, degree)
     if density.domain is not None:  # moments do not go round a circle
         return None
-    return max_entropy(density.x, density.mass, degree)
+    return max_entropy(*own, degree)
 
 
 def _agree(density: ParticleDensity, family: ParticleDensity, most: float) -> bool:

@@ -11,7 +11,7 @@ from ..core.family.basis import Basis, basis, beyond, bound, fit, polynomials, v
 from ..core.limits import TINY
 from ..errors import PropagationError
 from .family import Family, moments_apart, node_moments, turned
-from .points import whitener
+from .moments import whitener
 
 #: Mean (n,) and covariance (n, n) of prior and posterior.
 Moments = tuple[tuple[Floats, Floats], tuple[Floats, Floats]]

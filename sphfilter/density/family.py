@@ -13,8 +13,9 @@ from ..core.family.basis import Basis, basis, bound, polynomials, size, values_a
 from ..core.family.frame import inverse, moved, weigh
 from ..core.limits import LOG_2_PI, STEP
 from ..core.small_matrices import moments
-from ..lattice.level_set import LatticeDensity, fewest_particles, lattice_reach, lay
+from ..lattice.level_set import LatticeDensity, fewest_particles, lattice_reach, lay, usual_nodes
 from ..model.domain import Domain
+from .moments import matched
 from .quasi_random import STATES, weighted_points
 from .shapes import Moments, Polynomials, Shape
 
@@ -191,12 +192,20 @@ class Exponential(Shape):
         return Polynomials(laid.field, laid.x, laid.mass, self.moments)
 
     @property
+    def degree(self) -> int:
+        return self.family.degree
+
+    @property
     def x(self) -> Floats:
         return self.laid.x
 
     @property
     def mass(self) -> Floats:
         return self.laid.mass
+
+    def nodes(self, n_particles: int) -> int:
+        """Nodes that a lattice of the density has: those of a frame are no lattice, and fewer."""
+        return usual_nodes(len(self.family.mu))
 
     def around(self, domain: Domain) -> Polynomials:
         """The polynomials of the lattice between the walls of a domain."""
@@ -228,8 +237,17 @@ class Exponential(Shape):
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
         return self.laid.sample(size, rng)
 
+    def scattered(self, count: int, key: int) -> tuple[Floats, Floats]:
+        return weighted_points(self.logpdf, self.moments, count, key)
+
     def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
-        return self.laid.drawn(count, key)
+        x, w = self.scattered(count, key)
+        return matched(x, w, *self.moments), w
+
+    def drawn_in(self, domain: Domain, count: int, key: int) -> tuple[Floats, Floats]:
+        """Points of the density on the line, folded into a domain, and their weights."""
+        x, w = self.drawn(count, key)
+        return domain.fold(x), w
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         """Particles of the density of some axes, by name: on a lattice of their own."""

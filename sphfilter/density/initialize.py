@@ -18,13 +18,20 @@ from ..core.sph.kernels import Kernel
 from ..errors import ModelError, PropagationError
 from ..lattice.check import deep_enough, misfit, remote
 from ..lattice.field import inside_lattice
-from ..lattice.level_set import LatticeDensity, enough_particles, fewest_particles, lattice_reach, lay
+from ..lattice.level_set import (
+    LatticeDensity,
+    enough_particles,
+    fewest_particles,
+    lattice_reach,
+    lay,
+    min_nodes,
+)
 from ..lattice.regular import Lattice, heaviest, place_gaussian
 from ..model.domain import Domain, DomainLike
 from ..validate import array, choice, count, real, row
 from .distributions import Gaussian, Uniform, checked_box, gaussian_log_pdf
 from .family import gaussian_family, particles_of
-from .memory import Memory, max_particles, min_nodes
+from .memory import Memory, max_particles
 from .particle_density import ParticleDensity
 from .particles import particles_on, particles_with
 

@@ -254,7 +254,7 @@ class ParticleDensity(Noted):
         else:
             kind = "points" if kind in ("log_density", "family", "pieces") else kind
             points = Cloud if kind == "cloud" else Kernels
-            shape = points(self.x, self.mass, self.h, self.sph_kernel, kind)
+            shape = points(self.x, self.mass, self.h, self.sph_kernel, kind, log_p=self.log_density)
         return shape if self.domain is None else Folded(shape, self.domain)
 
     @cached_property

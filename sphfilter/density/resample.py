@@ -14,7 +14,7 @@ from ..errors import ModelError, PropagationError
 from ..info import ResampleInfo
 from ..lattice.candidates import NO_OVERLAP, Product, Sought, best_candidate
 from ..lattice.check import Misfit, misfit
-from ..lattice.level_set import lattice_reach
+from ..lattice.level_set import lattice_reach, min_nodes
 from ..lattice.posterior import posterior
 from ..lattice.regular import Lattice
 from ..lattice.resolved import Resolved, Search, resolved
@@ -22,7 +22,6 @@ from ..lattice.walls import continued
 from ..model.domain import Domain
 from ..validate import count
 from .distributions import gaussian_log_pdf
-from .memory import min_nodes
 from .particle_density import ParticleDensity
 from .particles import particles_on
 
@@ -128,8 +127,7 @@ def max_particles_of(density: ParticleDensity, n_particles: int | str | None = N
         return nodes or min_nodes(density.dim)
     if n_particles is not None:
         return count("n_particles", n_particles)
-    no_lattice = density.read_out in ("family", "pieces")
-    return density.capacity or (4 * min_nodes(density.dim) if no_lattice else density.n_particles)
+    return density.capacity or density.form.nodes(density.n_particles)
 
 
 def target_of(density: ParticleDensity, config: AnyConfig, n_particles: int | str | None) -> float | None:

@@ -25,6 +25,7 @@ from ..lattice.level_set import LatticeDensity
 from ..lattice.walls import inside
 from ..model.domain import Domain
 from . import marginal, mixture
+from .moments import matched
 from .quasi_random import quasi_random, spread_evenly, systematic
 
 LATTICE_SUPPORT = 1.2  # smoothing length on a lattice over its spacing: the coupling eta = h / dx of 000
@@ -58,9 +59,42 @@ class Shape(Protocol):
         """Variance along each axis by which the covariance exceeds that of the points."""
         return 0.0
 
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomial that log p is; zero where it is no single one."""
+        return 0
+
+    @property
+    def own_points(self) -> tuple[Floats, Floats] | None:
+        """Points (N, n) and weights (N,) that steps carry, as they lie; None where they carry log p."""
+        return None
+
+    @property
+    def atoms(self) -> tuple[Floats, Floats] | None:
+        """States (N, n) and masses (N,), where the density is read as these alone; else None."""
+        return None
+
+    @property
+    def known_entropy(self) -> float | None:
+        """-E[log p], nats, where log p is known at all atoms; else None."""
+        return None
+
+    @property
+    def heaviest(self) -> Moments | None:
+        """Moments of its heaviest part with all that lies about it; None where there are no parts."""
+        return None
+
+    def nodes(self, n_particles: int) -> int:
+        """Nodes that a lattice of the density has where none asks for more, if it has so many particles."""
+        return n_particles
+
     def on_lattice(self, n_particles: int) -> LatticeDensity | None:
         """The density on a lattice of at most so many nodes; None where nodes or points are the density."""
         return None
+
+    def around(self, domain: Domain) -> "Shape":
+        """The shape with what it has beyond the ends of a domain."""
+        return self
 
     def pdf(self, X: Floats) -> Floats:
         """Density, shape (M,)."""
@@ -89,8 +123,21 @@ class Shape(Protocol):
         """Distribution function (K,) of one state at places (K,), where F (K,) is the integral of the pdf."""
         return F
 
-    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
+    def scattered(self, count: int, key: int) -> tuple[Floats, Floats]:
         """Quasi-random points (count, n) by a key, and their weights (count,)."""
+
+    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
+        """Points as of `scattered`, shifted and stretched: with mean and covariance of the density."""
+        (x, w), mean = self.scattered(count, key), self.mean()
+        try:
+            return matched(x, w, mean, self.cov(mean)), w
+        except np.linalg.LinAlgError:  # flat along some combination of the states
+            return x, w
+
+    def drawn_in(self, domain: Domain, count: int, key: int) -> tuple[Floats, Floats]:
+        """Points inside of a domain, and their weights, as of `scattered`: nothing is stretched there."""
+        x, w = self.around(domain).scattered(count, key)
+        return domain.fold(x), w
 
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
         """Draw states, shape (size, n)."""
@@ -120,6 +167,7 @@ class Kernels(Shape):
     kernel: Kernel
     kind: str
     images: mixture.Mixture | None = field(default=None, repr=False)  # with those that stand beyond ends
+    log_p: Floats | None = field(default=None, repr=False)  # (N,) of the particles, where it is known
 
     @cached_property
     def mixture(self) -> mixture.Mixture:
@@ -137,6 +185,14 @@ class Kernels(Shape):
         if self.kind != "mixture":
             return 0.0
         return float(self.kernel.variance * (self.mass @ self.h**2))
+
+    @property
+    def atoms(self) -> tuple[Floats, Floats] | None:
+        return (self.x, self.mass) if self.kind == "points" else None
+
+    @property
+    def known_entropy(self) -> float | None:
+        return None if self.atoms is None or self.log_p is None else -float(self.mass @ self.log_p)
 
     def pdf(self, X: Floats) -> Floats:
         return self.mixture.pdf(X)
@@ -157,8 +213,8 @@ class Kernels(Shape):
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
         """Particles for "points"; else `count` states a kernel, spread evenly, always the same ones."""
-        if self.kind == "points":
-            return self.x, self.mass
+        if self.atoms is not None:
+            return self.atoms
         offsets = mixture.standing_for(self.kernel.kind, self.x.shape[1], count)
         X = self.mixture.points(offsets, slice(len(self.x)))  # images are seen, but carry nothing
         return X, np.repeat(self.mass / count, count)
@@ -169,7 +225,7 @@ class Kernels(Shape):
         offsets = mixture.drawn(mix.kernel.kind, rng.random((size, self.x.shape[1] + 1)))
         return mix.points(offsets, rng.choice(len(mass), size=size, p=mass))
 
-    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
+    def scattered(self, count: int, key: int) -> tuple[Floats, Floats]:
         mix = self.mixture
         offsets = mixture.drawn(mix.kernel.kind, quasi_random(count, self.x.shape[1] + 1, key))
         points = mix.points(offsets, systematic(mix.mass[: len(self.x)], count))
@@ -248,7 +304,7 @@ class Polynomials(Shape):
         X, w = self._weighed(rng.random((32, len(self.field.mu))))
         return X[rng.choice(len(X), size=size, p=w)]
 
-    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
+    def scattered(self, count: int, key: int) -> tuple[Floats, Floats]:
         """Points in the cells: of many states in each, as many as the density says; some of all modes alike.
 
         Of a mode that holds next to nothing, and that a reading may make much of, points know then, too.
@@ -310,6 +366,11 @@ class Polynomials(Shape):
         return (self.cells[:, None] + offsets).reshape(-1, offsets.shape[-1])
 
 
+def _of_shape(name: str) -> Any:
+    """A property that answers as the shape does, wherever its states live."""
+    return property(lambda self: getattr(self.shape, name))
+
+
 @dataclass(frozen=True, eq=False)
 class Folded(Shape):
     """A shape whose states live in a domain: round circles, between walls."""
@@ -317,17 +378,25 @@ class Folded(Shape):
     shape: Any  # that has particles: `Kernels`, `Polynomials` or an `Exponential`
     domain: Domain
 
+    smooth = _of_shape("smooth")
+    cell = _of_shape("cell")
+    degree = _of_shape("degree")
+    own_points = _of_shape("own_points")
+    known_entropy = _of_shape("known_entropy")
+    heaviest = _of_shape("heaviest")
+
     @property
     def bare(self) -> Any:
         return self.shape
 
     @property
-    def smooth(self) -> bool:
-        return self.shape.smooth
+    def atoms(self) -> tuple[Floats, Floats] | None:
+        """States inside of the domain, and masses, where the density is read as these alone."""
+        alone = self._seen.atoms
+        return None if alone is None else (self.domain.fold(alone[0]), alone[1])
 
-    @property
-    def cell(self) -> Floats | None:
-        return self.shape.cell
+    def nodes(self, n_particles: int) -> int:
+        return self.shape.nodes(n_particles)
 
     @property
     def _ends(self) -> bool:
@@ -384,9 +453,12 @@ class Folded(Shape):
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
         return self.domain.fold(self._seen.sample(size, rng))
 
-    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
-        x, w = self._seen.drawn(count, key)
+    def scattered(self, count: int, key: int) -> tuple[Floats, Floats]:
+        x, w = self._seen.scattered(count, key)
         return self.domain.fold(x), w
+
+    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
+        return self.shape.drawn_in(self.domain, count, key)
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         return self._seen.marginal(axes)

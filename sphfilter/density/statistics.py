@@ -18,9 +18,9 @@ from ..core.limits import LITTLE, TINY
 from ..errors import ModelError
 from ..validate import state_rows
 from . import weighted
-from .cloud import KERNEL, points_of, smoothing_length
+from .cloud import KERNEL, smoothing_length
 from .defect import OF_SHIFT, read_out
-from .points import moments
+from .moments import moments
 from .quasi_random import FEW_STATES
 from .shapes import CELL_POINTS
 from .weighted import WeightedStates
@@ -100,9 +100,8 @@ def _low_moment(density: "ParticleDensity", powers: Ints, centre: Floats | None)
 def quantile(density: "ParticleDensity", axis: int, probability: ArrayLike) -> Any:
     """Where one state's distribution function reaches `probability` (K,), counted from a domain's low end."""
     checked_axes([axis], density.dim)
-    if density.read_out == "points":
-        X, w = density.form.states(_SUBPOINTS, False)
-        return weighted.quantile_of(X[:, axis], w, probability)
+    if (atoms := density.form.atoms) is not None:
+        return weighted.quantile_of(atoms[0][:, axis], atoms[1], probability)
     probability = weighted.checked_part(probability)
     y, F = _distribution(density.marginal([axis]))
     found = np.interp(probability, F, y)
@@ -111,9 +110,9 @@ def quantile(density: "ParticleDensity", axis: int, probability: ArrayLike) -> A
 
 def entropy(density: "ParticleDensity") -> float:
     """-E[log p], nats."""
+    if (known := density.form.known_entropy) is not None:
+        return known
     X, w = density.form.states(_FEW_SUBPOINTS, True)
-    if density.read_out == "points" and density.log_density is not None:
-        return -float(w @ density.log_density)
     log_p = density.logpdf(X)
     inside = log_p > -np.inf  # not what kernels spread beyond a wall
     return -float(w[inside] @ log_p[inside] / w[inside].sum())
@@ -195,7 +194,7 @@ def _by_defect(density: "ParticleDensity", answer: Answer) -> Floats:
     family, defect = density.family, density.defect
     if family is None or defect is None:
         return _by_moving(density, answer)
-    x, w = points_of(density, FEW_STATES, 0)
+    x, w = density.form.drawn(FEW_STATES, 0)
     away = x - family.mu if density.domain is None else density.domain.nearest(x - family.mu)
     off = defect.at(family, family.mu + away)
     heavier = w * np.exp(np.clip(off - w @ off, -_MOST_OFF, _MOST_OFF))
@@ -228,7 +227,7 @@ def _by_parts(density: "ParticleDensity", answer: Answer) -> Floats:
 
 def _by_moving(density: "ParticleDensity", answer: Answer) -> Floats:
     """Of a density without points of its own: by how much it changes as mean and variances are off."""
-    points = points_of(density, FEW_STATES, 0)
+    points = density.form.drawn(FEW_STATES, 0)
     return _moved(density, answer, points, answer(_cloud(density, *points)), density.error)
 
 

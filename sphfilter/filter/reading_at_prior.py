@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig
 from ..core.limits import STEP, TINY
+from ..density.moments import moments, whitener
 from ..density.particle_density import ParticleDensity
-from ..density.points import moments, whitener
 from ..errors import ModelError
 from ..info import DOUBTFUL, Code, may_be_off
 from ..lattice.resolved import Search

@@ -7,6 +7,7 @@ density far away.
 """
 
 import math
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -72,6 +73,17 @@ def gaussian_volume(n: int, depth: float) -> float:
 def fewest_particles(n: int) -> int:
     """Particles below which no lattice resolves a Gaussian: a complete node two cells from the centre."""
     return (3**n if n <= 2 else 2 * n * n + 1) * (2 if n > 1 else 3)
+
+
+@cache
+def min_nodes(dim: int) -> int:
+    """Number of nodes that a lattice begins with, and never has less of."""
+    return max(60, 3 * fewest_particles(dim))
+
+
+def usual_nodes(dim: int) -> int:
+    """Number of nodes of a lattice of a density that lay on none before."""
+    return 4 * min_nodes(dim)
 
 
 def enough_particles(n: int) -> int:

@@ -10,7 +10,8 @@ import numpy as np
 
 from ..config import CloudScheme, LogDensityScheme, PaperScheme
 from ..core.limits import SAID
-from ..density.cloud import KERNEL, matched
+from ..density.cloud import KERNEL
+from ..density.moments import matched
 from ..density.particle_density import ParticleDensity
 from ..density.quasi_random import systematic
 from ..density.resample import times_likelihood

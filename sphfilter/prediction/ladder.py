@@ -16,11 +16,12 @@ from ..core.family.rules import degrees
 from ..core.limits import LITTLE
 from ..density.as_family import as_polynomials, family_density, moments_on_line
 from ..density.family import ON_LATTICE, gaussian_family
-from ..density.memory import Memory, doubtful_from, error_budget, min_nodes, tolerated_excess, usual_points
+from ..density.memory import Memory, doubtful_from, error_budget, tolerated_excess, usual_points
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError, UnresolvedError
 from ..info import Code, PredictInfo
+from ..lattice.level_set import min_nodes
 from ..model.discrete import DiscreteModel
 from ..model.discretization import linear_transition
 from ..model.dynamics import Dynamics

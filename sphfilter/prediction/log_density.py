@@ -40,7 +40,6 @@ from ..core.field.fitting import BUILD
 from ..core.field.stencils import stencils
 from ..core.limits import TINY
 from ..density.defect import ROUGH
-from ..density.memory import min_nodes
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
 from ..info import DOUBTFUL, Code, PredictInfo, may_be_off
@@ -52,6 +51,7 @@ from ..lattice.level_set import (
     fewest_particles,
     gaussian_volume,
     lattice_reach,
+    min_nodes,
 )
 from ..lattice.resolved import MOST
 from ..model.compile import surfacing

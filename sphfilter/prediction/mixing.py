@@ -25,20 +25,19 @@ from ..density.as_family import (
     moments_on_line,
     pieces_density,
 )
-from ..density.cloud import points_of
 from ..density.defect import Defect, defect_of
 from ..density.family import OF_MISFIT, fitted, moments_apart, node_moments
-from ..density.memory import Memory, min_nodes
+from ..density.memory import Memory
 from ..density.merging import OF_CHANGE, merged
+from ..density.moments import moments_of_sum
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Use, age_of, stored_key
 from ..density.pieces import Pieces, light
-from ..density.points import moments_of_sum
 from ..density.resample import folded_logarithm
 from ..errors import PropagationError
 from ..lattice.check import misfit, remote
 from ..lattice.field import inside_lattice
-from ..lattice.level_set import lattice_reach, lay, root_of
+from ..lattice.level_set import lattice_reach, lay, min_nodes, root_of
 from ..lattice.resolved import MOST
 from . import family
 from .ladder import first_degree, prefers_cloud
@@ -268,10 +267,8 @@ def _as_cloud(parts: Sequence[Part], about: ParticleDensity, target: float) -> P
     x, mass = [], []
     for k, part in enumerate(parts):
         density, w = part.density, math.exp(part.log_w)
-        points, weights = density.x, density.mass
-        if density.read_out != "cloud":
-            many = max(math.ceil(w * count), 1000)
-            points, weights = points_of(density, many, stored_key(age_of(about), Use.PARTS + k))
+        many, key = max(math.ceil(w * count), 1000), stored_key(age_of(about), Use.PARTS + k)
+        points, weights = density.form.own_points or density.form.drawn(many, key)
         x.append(points)
         mass.append(w * weights)
     return cloud_density(about, np.concatenate(x), np.concatenate(mass)).noted(needs=about.needs)

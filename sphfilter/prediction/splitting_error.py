@@ -7,12 +7,10 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from .._types import Floats
-from ..core.limits import LOOK, ROUNDS
+from ..core.limits import LOOK
 from ..density.as_family import moments_on_line
 from ..density.modes import ModeDensities, SplittingError, no_ripple
-from ..density.particle_density import ParticleDensity
-from ..density.pieces import ENTRIES, NEAR, Pieces
-from ..density.points import moments_of_sum
+from ..density.pieces import ENTRIES, Pieces
 from ..density.quasi_random import net
 from ..lattice.level_set import root_of
 from ..model.discretization import exponential
@@ -97,7 +95,7 @@ def splitting_error(
     """
     leaving = -np.diag(model.rates)
     share, gauss, simpson = _rules(steps, jumps_of(model, dt))
-    starts = {j: _narrow(p) for j, _, p in modes.some}
+    starts = {j: p.form.heaviest or moments_on_line(p) for j, _, p in modes.some}
     flows = {
         (i, j): _Flows.about(cast(SDE, model.modes[model.names[i]]), mean, modes.heaviest.t, dt * share)
         for j, (mean, _) in starts.items()
@@ -120,22 +118,6 @@ def splitting_error(
             whole = float(modes.w @ P[:, i])
             off[i] = _absolute(np.concatenate(means), np.concatenate(covs), np.array(extra) / whole)
     return off
-
-
-def _narrow(density: ParticleDensity) -> tuple[Floats, Floats]:
-    """Mean (n,) and covariance (n, n) of a density, or of its heaviest part with all that lies about it."""
-    if density.pieces is None:
-        return moments_on_line(density)
-    w, middle, own = density.pieces.w, density.pieces.mean, density.pieces.cov
-    mean, cov, found = middle[0], own[0], np.zeros(len(w), bool)
-    for _ in range(ROUNDS):
-        z = np.linalg.solve(np.linalg.cholesky(cov), (middle - mean).T)
-        near = np.sum(z**2, axis=0) < NEAR**2
-        if np.array_equal(near, found):
-            break
-        found = near
-        mean, cov = moments_of_sum(w[near] / w[near].sum(), middle[near], own[near])
-    return mean, cov
 
 
 def _absolute(mean: Floats, cov: Floats, w: Floats) -> SplittingError:

@@ -6,10 +6,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from ..core.step_control import HELPED, MORE, TRIES
-from ..density.memory import AIMED, error_budget, min_nodes
+from ..density.memory import AIMED, error_budget
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError, StoppedError
 from ..info import Code, PredictInfo
+from ..lattice.level_set import min_nodes
 from ..lattice.resolved import MOST
 from ._shared import Predicted
 

@@ -6,7 +6,6 @@ import pytest
 import sphfilter as sf
 from sphfilter.density.as_cloud import cloud_density
 from sphfilter.density.as_family import gaussians_of, may_miss, pieces_density
-from sphfilter.density.cloud import points_of
 from sphfilter.density.pieces import Pieces
 
 NORMAL = sf.Gaussian([0.5], [[0.4]])
@@ -66,6 +65,6 @@ def test_points_of_a_lattice_know_of_a_mode_that_holds_next_to_nothing(n, count)
     sensor = sf.LikelihoodMeasurement(log_likelihood, peaks=lambda z: far[None])
     start = sf.initialize(sf.Gaussian(np.zeros(n), np.eye(n)), 400)
     density, _ = sf.update(start, sensor, [0.0])
-    x, w = points_of(density, count, 3)
+    x, w = density.form.drawn(count, 3)
     assert w[x[:, 0] > 4.0].sum() == pytest.approx(part, rel=0.1)
     assert 1.0 / np.sum(w**2) > 0.85 * count
