@@ -6,7 +6,7 @@ from .._types import Floats
 from .cloud import KERNEL, smoothing_length
 from .moments import moments
 from .particle_density import SUMMED, ParticleDensity
-from .points import CloudState
+from .points import CloudState, Passage
 
 
 def cloud_density(
@@ -49,3 +49,9 @@ def thinned(density: ParticleDensity, count: int) -> ParticleDensity:
     if own is None or every.step == 1:
         return density
     return cloud_density(density, own[0][every], own[1][every])
+
+
+def passages_of(density: ParticleDensity) -> tuple[Passage, ...]:
+    """What has moved a cloud's points since the last reading; nothing that is known, of other densities."""
+    path = None if density.cloud is None else density.cloud.points.path
+    return () if path is None else path.passages

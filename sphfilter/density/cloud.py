@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,12 +16,8 @@ from ..model.domain import Domain
 from . import mixture
 from .local_kernels import local_kernels
 from .moments import moments
-from .points import Passage
 from .quasi_random import systematic
 from .shapes import Kernels
-
-if TYPE_CHECKING:
-    from .particle_density import ParticleDensity
 
 KERNEL = "wendland_c2"
 #: Points that stand for a cloud, over those that stand for one kernel of other densities, 128 or 16: of 2^14
@@ -106,12 +102,6 @@ class Cloud(Kernels):
         h = np.full(len(self.x), mixture.silverman(self.mass, n) / math.sqrt(self.kernel.variance))
         seen = Domain(*ends).seen(domain.fold(self.x) / std, self.mass, h, self.kernel.radius * h[0])
         return replace(self, images=mixture.mixture(*seen, self.kernel, factor=np.diag(std)))
-
-
-def passages_of(density: "ParticleDensity") -> tuple[Passage, ...]:
-    """What has moved a cloud's points since the last reading; nothing that is known, of other densities."""
-    path = None if density.cloud is None else density.cloud.points.path
-    return () if path is None else path.passages
 
 
 def smoothing_length(mass: Floats, cov: Floats) -> Floats:

@@ -22,7 +22,7 @@ from ..lattice.level_set import (
     LatticeDensity,
     enough_particles,
     fewest_particles,
-    lattice_reach,
+    lattice_depth,
     lay,
     min_nodes,
 )
@@ -282,7 +282,7 @@ def _on_level_set(
     domain: Domain | None,
 ) -> ParticleDensity:
     """A smooth density on a lattice that follows its level set."""
-    depth = 0.5 * lattice_reach(scheme, len(box)) ** 2
+    depth = lattice_depth(scheme, len(box))
     if isinstance(distribution, Gaussian):
         mean, cov = distribution.mean, distribution.cov
         factor: Any = np.linalg.cholesky(cov)

@@ -60,10 +60,6 @@ class Memory(NamedTuple):
         failed = self.failed + 1
         return self._replace(failed=failed, waits=2 ** min(failed - 1, _LONGEST) - 1)
 
-    def waited(self) -> "Memory":
-        """Memory with one prediction less to wait."""
-        return self._replace(waits=self.waits - 1)
-
     def cloud(self, target: float, dim: int) -> int:
         """Points that a cloud of so many states has for a target error."""
         return self.points or power_of_two(usual_points(target), dim)

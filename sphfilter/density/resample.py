@@ -14,7 +14,7 @@ from ..errors import ModelError, PropagationError
 from ..info import ResampleInfo
 from ..lattice.candidates import NO_OVERLAP, Product, Sought, best_candidate
 from ..lattice.check import Misfit, misfit
-from ..lattice.level_set import lattice_reach, min_nodes
+from ..lattice.level_set import lattice_depth, min_nodes
 from ..lattice.posterior import posterior
 from ..lattice.regular import Lattice
 from ..lattice.resolved import Resolved, Search, resolved
@@ -70,6 +70,11 @@ def logarithm(density: ParticleDensity) -> OfStates:
     return lambda X: np.logaddexp(density.logpdf(X), _FAINT + faint(X))
 
 
+def no_weight(X: Floats) -> Floats:
+    """Log-likelihood (M,) of states X (M, n) where nothing was read."""
+    return np.zeros(len(X))
+
+
 def times_likelihood(
     density: ParticleDensity,
     log_weight: OfStates,
@@ -82,7 +87,7 @@ def times_likelihood(
     what the lattice gets wrong; `gaussian` if it is known to be one, `search` if it is to be laid again where
     it overlooks something.
     """
-    depth = 0.5 * lattice_reach(scheme, density.dim) ** 2
+    depth = lattice_depth(scheme, density.dim)
     cell, domain = density.form.cell, density.domain
     walls, weight, log_p = density.walls, log_weight, folded_logarithm(density)
     if domain is not None:
@@ -190,8 +195,7 @@ def _relaid(
     density: ParticleDensity, n_particles: int, scheme: Scheme, log_weight: OfStates | None
 ) -> tuple[ParticleDensity, ResampleInfo]:
     """As `regrid` on a level-set lattice."""
-    weight = log_weight or (lambda X: np.zeros(len(X)))
-    new, log_evidence, _ = times_likelihood(density, weight, n_particles, scheme)
+    new, log_evidence, _ = times_likelihood(density, log_weight or no_weight, n_particles, scheme)
     laid: Any = new.field
     span = np.ptp(laid.node, axis=0) + 1
     info = ResampleInfo(

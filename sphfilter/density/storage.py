@@ -24,8 +24,7 @@ from ..core.field.stencils import stencils
 from ..errors import ModelError
 from ..model.domain import Domain
 from ..model.dynamics import Dynamics
-from .as_cloud import cloud_density, cloud_of
-from .cloud import passages_of
+from .as_cloud import cloud_density, cloud_of, passages_of
 from .defect import Defect
 from .family import Family
 from .left_out import LeftOut

@@ -33,7 +33,7 @@ def by_ladder(
     """
     needs = (density.needs or Memory())._replace(legs=0)
     walled = density.walls[0].size > 0
-    by_cloud = density.field is None and not walled and prefers_cloud(density.dim, needs, target)
+    by_cloud = density.form.cell is None and not walled and prefers_cloud(density.dim, needs, target)
     if density.pieces is not None and asked.linear:
         return _on_pieces(density, asked, target, needs)
     exact = asked.linear and density.gaussian

@@ -105,7 +105,7 @@ def update_or_predict_again(
         once = prior, posterior, info
         return Outcome(*_without_family(prediction, once, measurement, z, config), bound)
     known = prior.gaussian or info.extrapolated < SAID
-    if known or prediction.readings or before is None or before.field is None:
+    if known or prediction.readings or before is None or before.form.cell is None:
         return Outcome(prior, posterior, info, bound)
     from scipy.stats import chi2  # on use: import time
 

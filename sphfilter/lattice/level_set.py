@@ -57,6 +57,11 @@ def lattice_reach(scheme: object, n: int) -> float:
     return given or {1: 5.5, 2: 4.2}.get(n, 4.0)
 
 
+def lattice_depth(scheme: object, n: int) -> float:
+    """Nats below the highest value of a Gaussian's log p at its Z: where lattices are cut."""
+    return 0.5 * lattice_reach(scheme, n) ** 2
+
+
 def root_of(cov: Floats, why: str = "a piece is flat along some combination of the states") -> Floats:
     """Lower factors of covariances (..., n, n); raises `PropagationError` that says why where one is flat."""
     try:
@@ -88,7 +93,7 @@ def usual_nodes(dim: int) -> int:
 
 def enough_particles(n: int) -> int:
     """Particles, to two digits, of a lattice that holds a Gaussian of n states and its variance."""
-    nodes = gaussian_volume(n, 0.5 * lattice_reach(None, n) ** 2) / _WIDE**n
+    nodes = gaussian_volume(n, lattice_depth(None, n)) / _WIDE**n
     return max(fewest_particles(n), int(float(f"{nodes:.2g}")))
 
 

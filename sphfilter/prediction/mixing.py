@@ -26,7 +26,7 @@ from ..density.as_family import (
     pieces_density,
 )
 from ..density.defect import Defect, defect_of
-from ..density.family import OF_MISFIT, fitted, moments_apart, node_moments
+from ..density.family import HIGHEST, OF_MISFIT, fitted, moments_apart, node_moments
 from ..density.memory import Memory
 from ..density.merging import OF_CHANGE, merged
 from ..density.moments import moments_of_sum
@@ -37,9 +37,8 @@ from ..density.resample import folded_logarithm
 from ..errors import PropagationError
 from ..lattice.check import misfit, remote
 from ..lattice.field import inside_lattice
-from ..lattice.level_set import lattice_reach, lay, min_nodes, root_of
+from ..lattice.level_set import lattice_depth, lay, min_nodes, root_of
 from ..lattice.resolved import MOST
-from . import family
 from .ladder import first_degree, prefers_cloud
 
 _AWAY = 3.0  # standard deviations at which what is lost may lie: 2 Φ(-3) = .003 of a Gaussian lies beyond
@@ -168,7 +167,7 @@ def _as_family(parts: Sequence[Part], about: ParticleDensity, allowed: float) ->
         return None
     mean, cov = _moments(parts)
     log_p, first = _log_sum(parts), first_degree(about.dim, about.needs)
-    for degree in (d for d in degrees(about.dim) if 0 < first <= d <= family.HIGHEST):
+    for degree in (d for d in degrees(about.dim) if 0 < first <= d <= HIGHEST):
         found, off = fitted(log_p, mean, cov, degree)
         b, C = node_moments(found.basis.xi, found.weighted()[0])
         added = max(OF_MISFIT * off, moments_apart(b, C - np.eye(len(mean))))
@@ -221,7 +220,7 @@ def _on_lattice(parts: Sequence[Part], about: ParticleDensity, allowed: float) -
         nodes = max(part.density.capacity or part.density.n_particles for part in parts)
     else:
         nodes = about.needs.nodes or min_nodes(n)
-    depth = 0.5 * lattice_reach(None, n) ** 2
+    depth = lattice_depth(None, n)
     best: Any = math.inf, None
     for _ in range(_TRIES):
         laid = lay(log_p, mean, root_of(cov), seeds, nodes, depth, walls=about.walls)

@@ -15,15 +15,11 @@ from ..lattice.resolved import MOST
 from ._shared import Predicted
 
 
-def _always(n_particles: int) -> bool:
-    return True
-
-
 class Time(NamedTuple):
     """Numbers of particles that a time budget leaves for the first try, and for one more on a number."""
 
     most: int = MOST
-    fits: Callable[[int], bool] = _always
+    fits: Callable[[int], bool] = lambda n_particles: True
 
     def for_lattices(self, density: ParticleDensity, target: float) -> float:
         """Error by which the lattices of a prediction choose their nodes; zero where time chooses them."""

@@ -6,7 +6,9 @@ import pytest
 import sphfilter as sf
 from sphfilter.density.as_cloud import cloud_density
 from sphfilter.density.as_family import gaussians_of, may_miss, pieces_density
+from sphfilter.density.moments import moments
 from sphfilter.density.pieces import Pieces
+from sphfilter.lattice.level_set import usual_nodes
 
 NORMAL = sf.Gaussian([0.5], [[0.4]])
 FAMILY = sf.initialize(NORMAL, "auto")
@@ -38,6 +40,23 @@ def test_a_formula_lies_on_as_many_nodes_as_are_asked_for(name):
     if laid is not None:
         assert 40 < len(laid.x) <= 80
         np.testing.assert_allclose([laid.mean[0], laid.cov[0, 0]], [0.5, 0.4], rtol=1e-3)
+
+
+@pytest.mark.parametrize("name", DENSITIES)
+def test_a_shape_answers_what_steps_would_ask_its_name_for(name):
+    form = DENSITIES[name].form
+    assert form.degree == (2 if "family" in name else 0)
+    assert [form.own_points is None, form.atoms is None] == [name != "cloud", name != "kernels"]
+    assert form.nodes(7) == (usual_nodes(1) if name in FORMULAS else 7)
+    assert (form.heaviest is None) == (name != "pieces")
+
+
+@pytest.mark.parametrize("name", [name for name in DENSITIES if "circle" not in name])
+def test_points_drawn_of_a_shape_have_its_mean_and_covariance(name):
+    density = DENSITIES[name]
+    x, w = density.form.drawn(200, 5)
+    np.testing.assert_allclose(moments(x, w)[0], density.mean(), rtol=1e-9)
+    np.testing.assert_allclose(moments(x, w)[1], density.cov(), rtol=1e-9)
 
 
 def test_a_family_round_a_circle_lays_its_lattice_when_it_is_asked_for_a_density():
