@@ -31,8 +31,6 @@ _Read = tuple[ModeDensities, ModeDensities, ModesUpdateInfo]
 
 _REPEATED = "the prediction before repeated in more steps of the jumps between modes"
 _COARSE = "steps of the jumps between modes leave {:.2g} of the posterior in doubt"
-#: Times less that an error is to be which a reading brings out. Measured: half and twice change no run.
-_FINEST = 250.0
 _APART = "the prediction before repeated with fewer Gaussians merged, for the reading is far out"
 _LATE = "no time to repeat the prediction before, in more steps of the jumps or with fewer Gaussians merged"
 _MERGED = "mergers of Gaussians leave {:.2g} nat of the log-evidence in doubt"
@@ -73,7 +71,7 @@ def update_or_predict_modes_again(
     t, in_doubt = prior.heaviest.t, 0.0
     more = off > target and prediction.n_substeps < MOST_SUBSTEPS
     told = [(Code.REPEATED, what) for what, is_so in ((_REPEATED, more), (_APART, far)) if is_so]
-    finer = MORE * min(off / target, _FINEST) if more else 1.0
+    finer = MORE * (off / target) if more else 1.0
     apart = far or 1.0
     for _ in range(TRIES if far else int(more)):
         if not fits(1.0):
