@@ -50,9 +50,7 @@ class Cloud(Kernels):
     def mean(self) -> Floats:
         return self.summed[0].copy()
 
-    def cov(self, centre: Floats | None = None) -> Floats:
-        if centre is None:
-            return self.summed[1].copy()
+    def cov(self, centre: Floats) -> Floats:
         return self.summed[1] + np.outer(self.summed[0] - centre, self.summed[0] - centre)
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:

@@ -226,7 +226,7 @@ class Exponential(Shape):
     def mean(self) -> Floats:
         return self.moments[0].copy()
 
-    def cov(self, centre: Floats | None = None) -> Floats:
+    def cov(self, centre: Floats) -> Floats:
         return self.moments[1].copy()
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
@@ -244,11 +244,6 @@ class Exponential(Shape):
     def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
         x, w = self.scattered(count, key)
         return matched(x, w, *self.moments), w
-
-    def drawn_in(self, domain: Domain, count: int, key: int) -> tuple[Floats, Floats]:
-        """Points of the density on the line, folded into a domain, and their weights."""
-        x, w = self.drawn(count, key)
-        return domain.fold(x), w
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         """Particles of the density of some axes, by name: on a lattice of their own."""

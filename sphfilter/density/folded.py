@@ -82,7 +82,7 @@ class Folded(Shape):
             return self.shape.mean()
         return self.domain.mean(self.shape.x, self.shape.mass)
 
-    def cov(self, centre: Floats | None = None) -> Floats:
+    def cov(self, centre: Floats) -> Floats:
         """Covariance of differences from the mean direction, whatever the centre, shape (n, n)."""
         if self._ends:
             return self.shape.cov(centre)
@@ -101,11 +101,11 @@ class Folded(Shape):
         return self.domain.fold(self._seen.sample(size, rng))
 
     def scattered(self, count: int, key: int) -> tuple[Floats, Floats]:
-        x, w = self._seen.scattered(count, key)
+        """Points inside of the domain, and their weights: of a formula those that it draws on the line."""
+        x, w = self.shape.drawn(count, key) if self.degree > 0 else self._seen.scattered(count, key)
         return self.domain.fold(x), w
 
-    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
-        return self.shape.drawn_in(self.domain, count, key)
+    drawn = scattered  # nothing is stretched round a circle
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         return self._seen.marginal(axes)

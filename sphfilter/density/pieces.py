@@ -170,8 +170,8 @@ class GaussianPieces(Shape):
     def mean(self) -> Floats:
         return self._moments[0].copy()
 
-    def cov(self, centre: Floats | None = None) -> Floats:
-        off = np.zeros(len(self._moments[0])) if centre is None else self._moments[0] - centre
+    def cov(self, centre: Floats) -> Floats:
+        off = self._moments[0] - centre
         return self._moments[1] + np.outer(off, off)
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:

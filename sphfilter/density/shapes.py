@@ -91,10 +91,6 @@ class Shape(Protocol):
         """The density on a lattice of at most so many nodes; None where nodes or points are the density."""
         return None
 
-    def around(self, domain: Domain) -> "Shape":
-        """The shape with what it has beyond the ends of a domain."""
-        return self
-
     def pdf(self, X: Floats) -> Floats:
         """Density, shape (M,)."""
         return np.exp(self.logpdf(X))
@@ -108,8 +104,8 @@ class Shape(Protocol):
     def mean(self) -> Floats:
         """Mean, shape (n,)."""
 
-    def cov(self, centre: Floats | None = None) -> Floats:
-        """Covariance, shape (n, n), about the mean if no centre (n,) is given."""
+    def cov(self, centre: Floats) -> Floats:
+        """Covariance about a centre (n,), shape (n, n)."""
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
         """States (M, n) and weights (M,) whose sums are expectations, of `smooth` functions or of any."""
@@ -132,11 +128,6 @@ class Shape(Protocol):
             return matched(x, w, mean, self.cov(mean)), w
         except np.linalg.LinAlgError:  # flat along some combination of the states
             return x, w
-
-    def drawn_in(self, domain: Domain, count: int, key: int) -> tuple[Floats, Floats]:
-        """Points inside of a domain, and their weights, as of `scattered`: nothing is stretched there."""
-        x, w = self.around(domain).scattered(count, key)
-        return domain.fold(x), w
 
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
         """Draw states, shape (size, n)."""
@@ -206,8 +197,8 @@ class Kernels(Shape):
         """Mean, shape (n,); points and mixture agree, kernels being symmetric."""
         return self.mass @ self.x
 
-    def cov(self, centre: Floats | None = None) -> Floats:
-        d = self.x - (self.mean() if centre is None else centre)
+    def cov(self, centre: Floats) -> Floats:
+        d = self.x - centre
         return (d * self.mass[:, None]).T @ d + self.widening * np.eye(self.x.shape[1])
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
@@ -280,10 +271,10 @@ class Polynomials(Shape):
     def mean(self) -> Floats:
         return self.mass @ self.x if self.moments is None else self.moments[0].copy()
 
-    def cov(self, centre: Floats | None = None) -> Floats:
+    def cov(self, centre: Floats) -> Floats:
         if self.moments is not None:
             return self.moments[1].copy()
-        d = self.x - (self.mean() if centre is None else centre)
+        d = self.x - centre
         return (d * self.mass[:, None]).T @ d
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:

@@ -254,7 +254,7 @@ def _tries(
     X = np.concatenate([part.x for part in parts])
     values = product(X)
     highest = values.max()
-    deeper = max(depth, min(highest - _level(values, X, parts), 3.0 * depth))
+    deeper = max(depth, min(highest - _level(values, parts), 3.0 * depth))
     X = X[values > highest - deeper]
     for times in TIMES if search.finer else TIMES[:1]:
         if times * n_particles > MOST or (times == 1 and len(parts) == 1):
@@ -266,7 +266,7 @@ def _tries(
         yield Resolved(new, misfit(new, product), times=times)
 
 
-def _level(values: Floats, X: Floats, parts: list[_Part]) -> float:
+def _level(values: Floats, parts: list[_Part]) -> float:
     """Height of the lowest part's top, a few nats below which its mass is held too."""
     tops, start = [], 0
     for part in parts:

@@ -104,8 +104,8 @@ def carried_cloud(
     model: Dynamics,
     span: tuple[float, float],
     scheme: CloudScheme,
-    target: float = 0.0,
-    domain: Domain | None = None,
+    target: float,
+    domain: Domain | None,
 ) -> Carried:
     """Carry a cloud and its shadow over a span of time: what `propagate` does with densities."""
     (t0, t1), count = span, scheme.n_points
