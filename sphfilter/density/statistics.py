@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .particle_density import ParticleDensity
 
 _SUBPOINTS = 128  # points that stand for one kernel where an integral over it has no closed form
-_FEW_SUBPOINTS = 16  # where the density at each is wanted
+FEW_SUBPOINTS = 16  # where the density at each is wanted
 #: Points of a distribution function in a smoothing length or a cell: in units of it Simpson's rule misses
 #: h^4 / 180 = 8e-8 of a fourth derivative, h = 1 / 16.
 _FINE = 16
@@ -112,7 +112,7 @@ def entropy(density: "ParticleDensity") -> float:
     """-E[log p], nats."""
     if (known := density.form.known_entropy) is not None:
         return known
-    X, w = density.form.states(_FEW_SUBPOINTS, True)
+    X, w = density.form.states(FEW_SUBPOINTS, True)
     log_p = density.logpdf(X)
     inside = log_p > -np.inf  # not what kernels spread beyond a wall
     return -float(w[inside] @ log_p[inside] / w[inside].sum())
@@ -121,7 +121,7 @@ def entropy(density: "ParticleDensity") -> float:
 def highest_region(density: "ParticleDensity", probability: float) -> Region:
     """The region of highest density that holds a probability."""
     share = weighted.checked_part(probability)
-    X, w = density.form.states(_FEW_SUBPOINTS, False)
+    X, w = density.form.states(FEW_SUBPOINTS, False)
     p = density.pdf(X)
     order = np.argsort(-p, kind="stable")
     p, w = p[order], w[order]
@@ -132,7 +132,7 @@ def highest_region(density: "ParticleDensity", probability: float) -> Region:
 
 def spread(density: "ParticleDensity") -> WeightedStates:
     """A density as `WeightedStates`: points in its cells or kernels, and how it is read between them."""
-    X, w = density.form.states(_FEW_SUBPOINTS, False)
+    X, w = density.form.states(FEW_SUBPOINTS, False)
     return WeightedStates(X, w, density.logpdf)
 
 
@@ -145,7 +145,7 @@ def mode(density: "ParticleDensity") -> Floats:
     """The state of highest density, shape (n,): the best particle, then a simplex search from it."""
     from scipy import optimize  # on use: import time
 
-    X = density.form.states(_FEW_SUBPOINTS, False)[0] if density.read_out == "cloud" else density.x
+    X = density.form.states(FEW_SUBPOINTS, False)[0] if density.read_out == "cloud" else density.x
     best = X[np.argmax(density.pdf(X))]
     simplex = np.vstack([best, best + 0.5 * np.median(density.h) * np.eye(density.dim)])
     found = optimize.minimize(
@@ -264,7 +264,7 @@ def pdf_error(density: "ParticleDensity") -> float:
     if density.cloud is None or density.read_out != "cloud":
         return math.nan
     shadow = _cloud(density, *density.cloud.shadow[:2])
-    X, w = density.form.states(_FEW_SUBPOINTS, False)
+    X, w = density.form.states(FEW_SUBPOINTS, False)
     with np.errstate(invalid="ignore"):
         off = np.expm1(0.5 * (shadow.logpdf(X) - density.logpdf(X)))
     square = 0.5 * (w @ np.where(np.isnan(off), 0.0, off) ** 2)  # none of either beyond a wall

@@ -16,6 +16,7 @@ from ..density.moments import matched
 from ..density.particle_density import ParticleDensity
 from ..density.quasi_random import FEW_STATES, systematic
 from ..density.resample import no_weight, times_likelihood
+from ..density.statistics import FEW_SUBPOINTS
 from ..errors import LatticeError, PropagationError, UnresolvedError
 from ..info import Code
 from ..model.sde import SDE
@@ -100,7 +101,7 @@ def _on_lattice(
         return None
     off = np.sqrt(np.mean((root @ (laid.mean() - mean)) ** 2))
     wider = np.abs(root @ laid.cov() @ root.T - np.eye(density.dim)).max()
-    X, _ = few.form.states(16, True)
+    X, _ = few.form.states(FEW_SUBPOINTS, True)
     residual = np.mean(np.abs(np.expm1(np.clip(laid.logpdf(X) - few.logpdf(X), -1.0, 1.0))))
     if max(off, 0.5 * wider) > _AGREES * max(density.error, _LEAST_ERROR) or residual > _RESIDUAL:
         return None
