@@ -4,8 +4,9 @@ from typing import Any
 
 from .._types import Floats
 from .cloud import KERNEL, smoothing_length
+from .moments import moments
 from .particle_density import SUMMED, ParticleDensity
-from .points import CloudState, moments
+from .points import CloudState, Passage
 
 
 def cloud_density(
@@ -44,7 +45,13 @@ def cloud_of(
 
 def thinned(density: ParticleDensity, count: int) -> ParticleDensity:
     """A part of a cloud's points, at least `count`; the density itself where it has not twice as many."""
-    every = slice(None, None, max(density.n_particles // count, 1))
-    if density.read_out != "cloud" or every.step == 1:
+    every, own = slice(None, None, max(density.n_particles // count, 1)), density.form.own_points
+    if own is None or every.step == 1:
         return density
-    return cloud_density(density, density.x[every], density.mass[every])
+    return cloud_density(density, own[0][every], own[1][every])
+
+
+def passages_of(density: ParticleDensity) -> tuple[Passage, ...]:
+    """What has moved a cloud's points since the last reading; nothing that is known, of other densities."""
+    path = None if density.cloud is None else density.cloud.points.path
+    return () if path is None else path.passages

@@ -21,8 +21,9 @@ def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
     That is where the family is. Of what lies elsewhere, a part far away, moments tell: what they are apart by
     is a misfit, too. The density has a logarithm everywhere: on a lattice, or a family itself.
     """
-    if density.family is not None and density.family.degree == degree:
-        return density.family, 0.0
+    if density.form.degree == degree:
+        own: Any = density.family
+        return own, 0.0
     mean, cov = moments_on_line(density)
     if density.gaussian:
         return gaussian_family(mean, cov, degree), 0.0
@@ -37,7 +38,7 @@ def defect_in(density: ParticleDensity, family: Family, misfit: float = 0.0) -> 
     if old is not None and told is not None:
         return told if old is family else defect_of(family, lambda X: old.log_p(X) + told.at(old, X), told)
     known = Defect.none(family, math.hypot(density.error, OF_MISFIT * misfit))
-    if density.field is None or density.gaussian:
+    if density.form.cell is None or density.gaussian:
         return known
     return defect_of(family, logarithm(density), known)
 
@@ -55,7 +56,7 @@ def gaussians_of(density: ParticleDensity) -> Pieces | None:
 
 def may_miss(density: ParticleDensity) -> bool:
     """Whether a density is one family whose polynomial may miss something of log p: that is its defect."""
-    return density.family is not None and not density.gaussian
+    return density.form.degree > 0 and not density.gaussian
 
 
 def as_polynomials(density: ParticleDensity, degree: int, most: float) -> ParticleDensity | None:
@@ -71,7 +72,7 @@ def as_polynomials(density: ParticleDensity, degree: int, most: float) -> Partic
     if not _agree(density, new, most):
         return None
     x, mass = density.x, density.mass
-    beyond = None if density.field is None else LeftOut.of(new, x, mass, density.logpdf(x))
+    beyond = None if density.form.cell is None else LeftOut.of(new, x, mass, density.logpdf(x))
     return new.noted(left_out=density.left_out if beyond is None else beyond.beside(density.left_out, new))
 
 
@@ -79,11 +80,12 @@ def _fitted(density: ParticleDensity, degree: int) -> tuple[Family, float] | Non
     """The family next to a density, and its misfit; None where there is none."""
     if density.walls[0].size:
         return None
-    if density.read_out != "cloud":
+    own = density.form.own_points
+    if own is None:
         return family_of(density, degree)
     if density.domain is not None:  # moments do not go round a circle
         return None
-    return max_entropy(density.x, density.mass, degree)
+    return max_entropy(*own, degree)
 
 
 def _agree(density: ParticleDensity, family: ParticleDensity, most: float) -> bool:

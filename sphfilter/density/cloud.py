@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,12 +15,9 @@ from ..core.sph.kernels import Kernel
 from ..model.domain import Domain
 from . import mixture
 from .local_kernels import local_kernels
-from .points import Passage, moments
-from .quasi_random import systematic, weighted_points
+from .moments import moments
+from .quasi_random import systematic
 from .shapes import Kernels
-
-if TYPE_CHECKING:
-    from .particle_density import ParticleDensity
 
 KERNEL = "wendland_c2"
 #: Points that stand for a cloud, over those that stand for one kernel of other densities, 128 or 16: of 2^14
@@ -41,6 +38,10 @@ class Cloud(Kernels):
         local = local_kernels(self.x, self.mass) if self.images is None else self.images
         return mixture.mixture(self.x, self.mass, self.h, self.kernel) if local is None else local
 
+    @property
+    def own_points(self) -> tuple[Floats, Floats]:
+        return self.x, self.mass
+
     @cached_property
     def summed(self) -> tuple[Floats, Floats]:
         """Mean (n,) and covariance (n, n) of the points as they lie."""
@@ -49,9 +50,7 @@ class Cloud(Kernels):
     def mean(self) -> Floats:
         return self.summed[0].copy()
 
-    def cov(self, centre: Floats | None = None) -> Floats:
-        if centre is None:
-            return self.summed[1].copy()
+    def cov(self, centre: Floats) -> Floats:
         return self.summed[1] + np.outer(self.summed[0] - centre, self.summed[0] - centre)
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
@@ -103,49 +102,9 @@ class Cloud(Kernels):
         return replace(self, images=mixture.mixture(*seen, self.kernel, factor=np.diag(std)))
 
 
-def moments_of(density: "ParticleDensity") -> tuple[Floats, Floats]:
-    """Mean (n,) and covariance (n, n) of a density's points as they lie; of a cloud they are summed once."""
-    shape = density.form.bare
-    return shape.summed if isinstance(shape, Cloud) else moments(density.x, density.mass)
-
-
-def passages_of(density: "ParticleDensity") -> tuple[Passage, ...]:
-    """What has moved a cloud's points since the last reading; nothing that is known, of other densities."""
-    path = None if density.cloud is None else density.cloud.points.path
-    return () if path is None else path.passages
-
-
 def smoothing_length(mass: Floats, cov: Floats) -> Floats:
     """Smoothing lengths (N,) of points with covariance (n, n): spheres as large as the best kernel."""
     n = len(cov)
     kernel = Kernel.of(KERNEL, n)
     size = mixture.silverman(mass, n) * weights.extent(cov)
     return np.full(len(mass), size / math.sqrt(kernel.variance))
-
-
-def points_of(density: "ParticleDensity", count: int, key: int) -> tuple[Floats, Floats]:
-    """Quasi-random points (count, n) with weights (count,) that stand for a density of any kind."""
-    if density.family is None:
-        return drawn(density, count, key)
-    assert density.moments is not None
-    x, mass = weighted_points(density.family.log_p, density.moments, count, key)
-    x = matched(x, mass, *density.moments)
-    return (x if density.domain is None else density.domain.fold(x)), mass
-
-
-def matched(x: Floats, mass: Floats, mean: Floats, cov: Floats) -> Floats:
-    """Points shifted and stretched, so that they have a mean and covariance."""
-    own_mean, own_cov = moments(x, mass)
-    change = np.linalg.cholesky(cov) @ np.linalg.inv(np.linalg.cholesky(own_cov))
-    return mean + np.einsum("ij,kj->ik", x - own_mean, change)
-
-
-def drawn(density: "ParticleDensity", count: int, key: int) -> tuple[Floats, Floats]:
-    """Draw quasi-random points (count, n), with weights, from a density: with its mean and covariance."""
-    x, w = density.form.drawn(count, key)
-    if density.domain is not None:
-        return x, w
-    try:
-        return matched(x, w, density.mean(), density.cov()), w
-    except np.linalg.LinAlgError:  # flat along some combination of the states
-        return x, w

@@ -10,8 +10,8 @@ from .._types import Floats, OfStates
 from ..core.family.basis import Basis, basis, beyond, bound, fit, polynomials, values_at
 from ..core.limits import TINY
 from ..errors import PropagationError
-from .family import Family, moments_apart, node_moments, turned
-from .points import whitener
+from .family import HIGHEST, Family, moments_apart, node_moments, turned
+from .moments import whitener
 
 #: Mean (n,) and covariance (n, n) of prior and posterior.
 Moments = tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
@@ -22,7 +22,7 @@ Moments = tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
 OF_SHIFT, OF_UNSIGNED, _OF_REST = 1.2, 0.4, 0.15
 #: Degree of the polynomials for which the shape is taken that others inherit of a family: what those have in
 #: one state. Measured: six tails are told .6 to 1.2 of what is made, with 5 .75 to 2.1, with 8 .3 to .7.
-ROUGH = 6
+ROUGH = HIGHEST
 #: Standard deviations. Measured: .029 of 592 errors are told to a third at most and .46 to three times as
 #: much; with ten times .020 and .52, with none .16 and .33.
 _LEAST = 1e-5

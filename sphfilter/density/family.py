@@ -13,8 +13,9 @@ from ..core.family.basis import Basis, basis, bound, polynomials, size, values_a
 from ..core.family.frame import inverse, moved, weigh
 from ..core.limits import LOG_2_PI, STEP
 from ..core.small_matrices import moments
-from ..lattice.level_set import LatticeDensity, fewest_particles, lattice_reach, lay
+from ..lattice.level_set import LatticeDensity, fewest_particles, lattice_depth, lay, usual_nodes
 from ..model.domain import Domain
+from .moments import matched
 from .quasi_random import STATES, weighted_points
 from .shapes import Moments, Polynomials, Shape
 
@@ -23,6 +24,7 @@ ASTRAY = 0.3  # of a frame's moments: no family holds the density then; measured
 #: switches takes .8 and 1.2 times the evaluations for 2.4 and .5 times the error, others 1.02 at most.
 OF_MISFIT = 0.5
 _NODES = {1: 200, 2: 1000, 3: 4000, 4: 12_000}  # of a lattice for questions, of four states and more the last
+HIGHEST = 6  # degree that is taken unless another is asked for
 ON_LATTICE = 2  # states up to which a lattice answers, and may come after one family
 _TURN = 0.6  # radians
 
@@ -170,7 +172,7 @@ def laid_by(log_p: OfStates, moments: Any, n_particles: int, middles: Floats) ->
     """A density of given moments on a lattice of at most so many nodes, from its `middles` (K, n)."""
     mean, cov = moments
     n_particles = max(n_particles, fewest_particles(len(mean)))
-    depth = 0.5 * lattice_reach(None, len(mean)) ** 2
+    depth = lattice_depth(None, len(mean))
     return lay(log_p, mean, np.linalg.cholesky(cov), middles, n_particles, depth)
 
 
@@ -191,12 +193,20 @@ class Exponential(Shape):
         return Polynomials(laid.field, laid.x, laid.mass, self.moments)
 
     @property
+    def degree(self) -> int:
+        return self.family.degree
+
+    @property
     def x(self) -> Floats:
         return self.laid.x
 
     @property
     def mass(self) -> Floats:
         return self.laid.mass
+
+    def nodes(self, n_particles: int) -> int:
+        """Nodes that a lattice of the density has: those of a frame are no lattice, and fewer."""
+        return usual_nodes(len(self.family.mu))
 
     def around(self, domain: Domain) -> Polynomials:
         """The polynomials of the lattice between the walls of a domain."""
@@ -216,7 +226,7 @@ class Exponential(Shape):
     def mean(self) -> Floats:
         return self.moments[0].copy()
 
-    def cov(self, centre: Floats | None = None) -> Floats:
+    def cov(self, centre: Floats) -> Floats:
         return self.moments[1].copy()
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
@@ -228,8 +238,12 @@ class Exponential(Shape):
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
         return self.laid.sample(size, rng)
 
+    def scattered(self, count: int, key: int) -> tuple[Floats, Floats]:
+        return weighted_points(self.logpdf, self.moments, count, key)
+
     def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
-        return self.laid.drawn(count, key)
+        x, w = self.scattered(count, key)
+        return matched(x, w, *self.moments), w
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
         """Particles of the density of some axes, by name: on a lattice of their own."""

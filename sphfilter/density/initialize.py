@@ -18,13 +18,20 @@ from ..core.sph.kernels import Kernel
 from ..errors import ModelError, PropagationError
 from ..lattice.check import deep_enough, misfit, remote
 from ..lattice.field import inside_lattice
-from ..lattice.level_set import LatticeDensity, enough_particles, fewest_particles, lattice_reach, lay
+from ..lattice.level_set import (
+    LatticeDensity,
+    enough_particles,
+    fewest_particles,
+    lattice_depth,
+    lay,
+    min_nodes,
+)
 from ..lattice.regular import Lattice, heaviest, place_gaussian
 from ..model.domain import Domain, DomainLike
 from ..validate import array, choice, count, real, row
 from .distributions import Gaussian, Uniform, checked_box, gaussian_log_pdf
 from .family import gaussian_family, particles_of
-from .memory import Memory, max_particles, min_nodes
+from .memory import Memory, max_particles
 from .particle_density import ParticleDensity
 from .particles import particles_on, particles_with
 
@@ -275,7 +282,7 @@ def _on_level_set(
     domain: Domain | None,
 ) -> ParticleDensity:
     """A smooth density on a lattice that follows its level set."""
-    depth = 0.5 * lattice_reach(scheme, len(box)) ** 2
+    depth = lattice_depth(scheme, len(box))
     if isinstance(distribution, Gaussian):
         mean, cov = distribution.mean, distribution.cov
         factor: Any = np.linalg.cholesky(cov)

@@ -42,7 +42,7 @@ def around(field: Field, walls: Walls = NO_WALLS) -> Floats:
 
 
 def marginal_on_lattice(
-    field: Field, x: Floats, mass: Floats, axes: Sequence[int], walls: Walls = NO_WALLS
+    field: Field, x: Floats, mass: Floats, axes: Sequence[int], walls: Walls
 ) -> LatticeDensity:
     """The density of some axes of a field, on a lattice.
 

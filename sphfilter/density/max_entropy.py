@@ -10,7 +10,7 @@ from ..core.family.basis import averages
 from ..core.limits import ROUNDS, TINY
 from ..core.monomials import up_to
 from .family import Family, gaussian_family
-from .points import moments
+from .moments import moments
 
 _FOUND = 1e-9
 _LONGEST = 2.0  # change of log p in a round, rms over the density

@@ -1,13 +1,11 @@
 """The memory of the ladder: representations and sizes that a density has needed so far."""
 
 import math
-from functools import cache
 from typing import NamedTuple
 
 from ..config import AnyConfig, FilterConfig, LogDensityScheme
 from ..core.cloud.control import next_points, points_for, power_of_two
 from ..info import DOUBTFUL
-from ..lattice.level_set import fewest_particles
 
 #: Error of a cloud after a typical reading, over N^-1/2, as long as nothing tells it: what the first readings
 #: leave is forgotten slowly. With half of it thirteen scenes took 1.5 times the time for the same error.
@@ -62,10 +60,6 @@ class Memory(NamedTuple):
         failed = self.failed + 1
         return self._replace(failed=failed, waits=2 ** min(failed - 1, _LONGEST) - 1)
 
-    def waited(self) -> "Memory":
-        """Memory with one prediction less to wait."""
-        return self._replace(waits=self.waits - 1)
-
     def cloud(self, target: float, dim: int) -> int:
         """Points that a cloud of so many states has for a target error."""
         return self.points or power_of_two(usual_points(target), dim)
@@ -118,12 +112,6 @@ def tolerated_excess(dim: int) -> float:
 def error_budget(error: float, target: float, least: float = 0.5) -> float:
     """Error that a step may add to one that is there: a part of the target where that is used up."""
     return max(math.sqrt(max(target**2 - error**2, 0.0)), least * target)
-
-
-@cache
-def min_nodes(dim: int) -> int:
-    """Number of nodes that a lattice begins with, and never has less of."""
-    return max(60, 3 * fewest_particles(dim))
 
 
 def max_particles(n_particles: int | str, config: AnyConfig | None) -> int | str:

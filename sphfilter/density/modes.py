@@ -11,8 +11,9 @@ from scipy.special import logsumexp
 from .._types import Floats
 from ..core.limits import TINY
 from ..errors import PropagationError
+from .moments import moments_of_sum
 from .particle_density import ParticleDensity
-from .points import moments_of_sum
+from .statistics import FEW_SUBPOINTS
 from .weighted import WeightedStates
 
 
@@ -122,11 +123,9 @@ class ModeDensities:
         mean = w @ means
         off = means - mean
         if domain is not None:
-            spread = [(w, p.form.states(16, True)) for w, (_, _, p) in zip(w, self.some, strict=True)]
-            X, mass = (
-                np.concatenate([X for _, (X, _) in spread]),
-                np.concatenate([w * m for w, (_, m) in spread]),
-            )
+            spread = [p.form.states(FEW_SUBPOINTS, True) for _, _, p in self.some]
+            X = np.concatenate([x for x, _ in spread])
+            mass = np.concatenate([share * part for share, (_, part) in zip(w, spread, strict=True)])
             mean[domain.periodic] = domain.mean(X, mass / mass.sum())[domain.periodic]
             off = domain.nearest(means - mean)
         cov = np.einsum("k,kab->ab", w, covs) + np.einsum("k,ka,kb->ab", w, off, off)

@@ -21,12 +21,13 @@ from . import statistics
 from .cloud import Cloud
 from .defect import Defect
 from .family import Family
+from .folded import Folded
 from .left_out import LeftOut
 from .marginal import around
 from .memory import Memory
 from .pieces import Pieces
 from .points import CloudState
-from .shapes import Folded, Kernels, Polynomials, Shape, lattice_particles
+from .shapes import Kernels, Polynomials, Shape, lattice_particles
 from .weighted import WeightedStates
 
 READ_OUTS: tuple[ReadOut, ...] = ("points", "mixture", "log_density", "cloud", "family", "pieces")
@@ -254,7 +255,7 @@ class ParticleDensity(Noted):
         else:
             kind = "points" if kind in ("log_density", "family", "pieces") else kind
             points = Cloud if kind == "cloud" else Kernels
-            shape = points(self.x, self.mass, self.h, self.sph_kernel, kind)
+            shape = points(self.x, self.mass, self.h, self.sph_kernel, kind, log_p=self.log_density)
         return shape if self.domain is None else Folded(shape, self.domain)
 
     @cached_property

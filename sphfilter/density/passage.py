@@ -28,7 +28,8 @@ from ..model.discretization import linear_transition
 from ..model.dynamics import Dynamics
 from ..model.paths import noise_root
 from ..model.sde import SDE
-from .points import NO_LINES, CloudState, Pace, Passage, Path, Points, Told, columns
+from .moments import columns
+from .points import NO_LINES, CloudState, Pace, Passage, Path, Points, Told
 from .quasi_random import NetPart, even, net
 
 #: Passages after which a path is forgotten, and numbers of all points that they may hold: a reading leads

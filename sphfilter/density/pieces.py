@@ -11,12 +11,12 @@ from scipy.special import logsumexp
 
 from .._types import Bools, Floats, Ints
 from ..core.family.rules import rule as family_rule
-from ..core.limits import LOG_2_PI
-from ..lattice.level_set import LatticeDensity, root_of
+from ..core.limits import LOG_2_PI, ROUNDS
+from ..lattice.level_set import LatticeDensity, root_of, usual_nodes
 from .family import laid_by
-from .points import moments_of_sum
+from .moments import moments_of_sum
 from .quasi_random import STATES, quasi_random, systematic
-from .shapes import Shape
+from .shapes import Moments, Shape
 
 ENTRIES = 2**21  # of an array of states times pieces: 8 ENTRIES = 16 MB
 NEAR = 2.5  # widths of a piece within which neighbours' middles lie: 2 Φ(-2.5) = .012 of it lies beyond
@@ -134,6 +134,24 @@ class GaussianPieces(Shape):
 
     pieces: Pieces
 
+    @property
+    def heaviest(self) -> Moments:
+        """Mean and covariance of the heaviest Gaussian with all that lie within `NEAR` of its widths."""
+        w, middle, own = self.pieces.w, self.pieces.mean, self.pieces.cov
+        mean, cov, found = middle[0], own[0], np.zeros(len(w), bool)
+        for _ in range(ROUNDS):
+            z = np.linalg.solve(np.linalg.cholesky(cov), (middle - mean).T)
+            near = np.sum(z**2, axis=0) < NEAR**2
+            if np.array_equal(near, found):
+                break
+            found = near
+            mean, cov = moments_of_sum(w[near] / w[near].sum(), middle[near], own[near])
+        return mean, cov
+
+    def nodes(self, n_particles: int) -> int:
+        """Nodes that a lattice of the density has: those of a rule in each piece are none."""
+        return usual_nodes(self.pieces.mean.shape[1])
+
     def on_lattice(self, n_particles: int) -> LatticeDensity:
         return laid_by(self.pieces.log_p, self._moments, n_particles, self.pieces.mean)
 
@@ -152,8 +170,8 @@ class GaussianPieces(Shape):
     def mean(self) -> Floats:
         return self._moments[0].copy()
 
-    def cov(self, centre: Floats | None = None) -> Floats:
-        off = np.zeros(len(self._moments[0])) if centre is None else self._moments[0] - centre
+    def cov(self, centre: Floats) -> Floats:
+        off = self._moments[0] - centre
         return self._moments[1] + np.outer(off, off)
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
@@ -175,7 +193,7 @@ class GaussianPieces(Shape):
         own = rng.choice(len(self.pieces.w), size=size, p=self.pieces.w)
         return self.at(own, rng.random((size, self.pieces.mean.shape[1])))
 
-    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
+    def scattered(self, count: int, key: int) -> tuple[Floats, Floats]:
         own = systematic(self.pieces.w, count), quasi_random(count, self.pieces.mean.shape[1], key)
         return self.at(*own), np.full(count, 1.0 / count)
 

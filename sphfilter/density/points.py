@@ -10,8 +10,7 @@ from ..core.cloud import lineages
 from ..core.cloud.control import decisive, error_by, expected_square, smoothed, square_of_more
 from ..core.cloud.pace import Bias
 from ..core.cloud.steps import Leg
-from ..core.cloud.weights import weighted_moments
-from ..core.small_matrices import cholesky, invert_lower
+from .moments import columns
 
 NO_LINES = np.empty((0, 0), np.int64)  # of points each its own
 
@@ -158,33 +157,3 @@ class Carried(lineages.Carried):
         """
         x, *rest = lineages.carriers(columns(x), log_w, ancestor, older)
         return cls(x.T, *rest)
-
-
-def columns(x: Floats) -> Floats:
-    """Points (N, n) as compiled code takes them, (n, N): a copy of what is not such in memory already.
-
-    What that code has made is, as its transpose.
-    """
-    turned = x.T
-    return turned if turned.flags.carray else np.array(turned, order="C")
-
-
-def moments_of_sum(w: Floats, means: Any, covs: Any) -> tuple[Floats, Floats]:
-    """Mean (n,) and covariance (n, n) of a sum of densities, of shares w (K,), by those of its parts."""
-    mean = w @ means
-    off = means - mean
-    return mean, np.einsum("k,kab->ab", w, covs) + np.einsum("k,ka,kb->ab", w, off, off)
-
-
-def whitener(cov: Floats) -> Floats:
-    """The matrix W (n, n) for which W C W^T = I; zero where a state has no variance."""
-    lower = np.empty(cov.shape)
-    return invert_lower(lower) if cholesky(np.ascontiguousarray(cov), lower) else np.zeros(cov.shape)
-
-
-def moments(x: Floats, w: Floats) -> tuple[Floats, Floats]:
-    """Mean (n,) and covariance (n, n) of weighted points, the same bits whatever the threads."""
-    n = x.shape[1]
-    mean, cov = np.empty(n), np.empty((n, n))
-    weighted_moments(columns(x), w, mean, cov)
-    return mean, cov

@@ -14,7 +14,7 @@ from ..errors import ModelError, PropagationError
 from ..info import ResampleInfo
 from ..lattice.candidates import NO_OVERLAP, Product, Sought, best_candidate
 from ..lattice.check import Misfit, misfit
-from ..lattice.level_set import lattice_reach
+from ..lattice.level_set import lattice_depth, min_nodes
 from ..lattice.posterior import posterior
 from ..lattice.regular import Lattice
 from ..lattice.resolved import Resolved, Search, resolved
@@ -22,7 +22,6 @@ from ..lattice.walls import continued
 from ..model.domain import Domain
 from ..validate import count
 from .distributions import gaussian_log_pdf
-from .memory import min_nodes
 from .particle_density import ParticleDensity
 from .particles import particles_on
 
@@ -71,6 +70,11 @@ def logarithm(density: ParticleDensity) -> OfStates:
     return lambda X: np.logaddexp(density.logpdf(X), _FAINT + faint(X))
 
 
+def no_weight(X: Floats) -> Floats:
+    """Log-likelihood (M,) of states X (M, n) where nothing was read."""
+    return np.zeros(len(X))
+
+
 def times_likelihood(
     density: ParticleDensity,
     log_weight: OfStates,
@@ -83,7 +87,7 @@ def times_likelihood(
     what the lattice gets wrong; `gaussian` if it is known to be one, `search` if it is to be laid again where
     it overlooks something.
     """
-    depth = 0.5 * lattice_reach(scheme, density.dim) ** 2
+    depth = lattice_depth(scheme, density.dim)
     cell, domain = density.form.cell, density.domain
     walls, weight, log_p = density.walls, log_weight, folded_logarithm(density)
     if domain is not None:
@@ -128,8 +132,7 @@ def max_particles_of(density: ParticleDensity, n_particles: int | str | None = N
         return nodes or min_nodes(density.dim)
     if n_particles is not None:
         return count("n_particles", n_particles)
-    no_lattice = density.read_out in ("family", "pieces")
-    return density.capacity or (4 * min_nodes(density.dim) if no_lattice else density.n_particles)
+    return density.capacity or density.form.nodes(density.n_particles)
 
 
 def target_of(density: ParticleDensity, config: AnyConfig, n_particles: int | str | None) -> float | None:
@@ -192,8 +195,7 @@ def _relaid(
     density: ParticleDensity, n_particles: int, scheme: Scheme, log_weight: OfStates | None
 ) -> tuple[ParticleDensity, ResampleInfo]:
     """As `regrid` on a level-set lattice."""
-    weight = log_weight or (lambda X: np.zeros(len(X)))
-    new, log_evidence, _ = times_likelihood(density, weight, n_particles, scheme)
+    new, log_evidence, _ = times_likelihood(density, log_weight or no_weight, n_particles, scheme)
     laid: Any = new.field
     span = np.ptp(laid.node, axis=0) + 1
     info = ResampleInfo(

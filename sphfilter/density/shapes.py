@@ -1,4 +1,4 @@
-"""Shapes of a density: kernels, polynomials of log p on a lattice, and either of them in a domain.
+"""Shapes of a density: kernels, and polynomials of log p on a lattice.
 
 A shape answers the same questions, whatever it is made of: pdf, logpdf and gradient at states; mean and
 covariance; weighted states that stand for it; samples; marginals; where it ends. Those of states (M, n) take
@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
-from scipy import special
 
 from .._types import Floats, Ints, OfStates
 from ..core.field.field import Field
@@ -25,6 +24,7 @@ from ..lattice.level_set import LatticeDensity
 from ..lattice.walls import inside
 from ..model.domain import Domain
 from . import marginal, mixture
+from .moments import matched
 from .quasi_random import quasi_random, spread_evenly, systematic
 
 LATTICE_SUPPORT = 1.2  # smoothing length on a lattice over its spacing: the coupling eta = h / dx of 000
@@ -58,6 +58,35 @@ class Shape(Protocol):
         """Variance along each axis by which the covariance exceeds that of the points."""
         return 0.0
 
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomial that log p is; zero where it is no single one."""
+        return 0
+
+    @property
+    def own_points(self) -> tuple[Floats, Floats] | None:
+        """Points (N, n) and weights (N,) that steps carry, as they lie; None where they carry log p."""
+        return None
+
+    @property
+    def atoms(self) -> tuple[Floats, Floats] | None:
+        """States (N, n) and masses (N,), where the density is read as these alone; else None."""
+        return None
+
+    @property
+    def known_entropy(self) -> float | None:
+        """-E[log p], nats, where log p is known at all atoms; else None."""
+        return None
+
+    @property
+    def heaviest(self) -> Moments | None:
+        """Moments of its heaviest part with all that lies about it; None where there are no parts."""
+        return None
+
+    def nodes(self, n_particles: int) -> int:
+        """Nodes that a lattice of the density has where none asks for more, if it has so many particles."""
+        return n_particles
+
     def on_lattice(self, n_particles: int) -> LatticeDensity | None:
         """The density on a lattice of at most so many nodes; None where nodes or points are the density."""
         return None
@@ -75,8 +104,8 @@ class Shape(Protocol):
     def mean(self) -> Floats:
         """Mean, shape (n,)."""
 
-    def cov(self, centre: Floats | None = None) -> Floats:
-        """Covariance, shape (n, n), about the mean if no centre (n,) is given."""
+    def cov(self, centre: Floats) -> Floats:
+        """Covariance about a centre (n,), shape (n, n)."""
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
         """States (M, n) and weights (M,) whose sums are expectations, of `smooth` functions or of any."""
@@ -89,8 +118,16 @@ class Shape(Protocol):
         """Distribution function (K,) of one state at places (K,), where F (K,) is the integral of the pdf."""
         return F
 
-    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
+    def scattered(self, count: int, key: int) -> tuple[Floats, Floats]:
         """Quasi-random points (count, n) by a key, and their weights (count,)."""
+
+    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
+        """Points as of `scattered`, shifted and stretched: with mean and covariance of the density."""
+        (x, w), mean = self.scattered(count, key), self.mean()
+        try:
+            return matched(x, w, mean, self.cov(mean)), w
+        except np.linalg.LinAlgError:  # flat along some combination of the states
+            return x, w
 
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
         """Draw states, shape (size, n)."""
@@ -120,6 +157,7 @@ class Kernels(Shape):
     kernel: Kernel
     kind: str
     images: mixture.Mixture | None = field(default=None, repr=False)  # with those that stand beyond ends
+    log_p: Floats | None = field(default=None, repr=False)  # (N,) of the particles, where it is known
 
     @cached_property
     def mixture(self) -> mixture.Mixture:
@@ -138,6 +176,14 @@ class Kernels(Shape):
             return 0.0
         return float(self.kernel.variance * (self.mass @ self.h**2))
 
+    @property
+    def atoms(self) -> tuple[Floats, Floats] | None:
+        return (self.x, self.mass) if self.kind == "points" else None
+
+    @property
+    def known_entropy(self) -> float | None:
+        return None if self.atoms is None or self.log_p is None else -float(self.mass @ self.log_p)
+
     def pdf(self, X: Floats) -> Floats:
         return self.mixture.pdf(X)
 
@@ -151,14 +197,14 @@ class Kernels(Shape):
         """Mean, shape (n,); points and mixture agree, kernels being symmetric."""
         return self.mass @ self.x
 
-    def cov(self, centre: Floats | None = None) -> Floats:
-        d = self.x - (self.mean() if centre is None else centre)
+    def cov(self, centre: Floats) -> Floats:
+        d = self.x - centre
         return (d * self.mass[:, None]).T @ d + self.widening * np.eye(self.x.shape[1])
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
         """Particles for "points"; else `count` states a kernel, spread evenly, always the same ones."""
-        if self.kind == "points":
-            return self.x, self.mass
+        if self.atoms is not None:
+            return self.atoms
         offsets = mixture.standing_for(self.kernel.kind, self.x.shape[1], count)
         X = self.mixture.points(offsets, slice(len(self.x)))  # images are seen, but carry nothing
         return X, np.repeat(self.mass / count, count)
@@ -169,7 +215,7 @@ class Kernels(Shape):
         offsets = mixture.drawn(mix.kernel.kind, rng.random((size, self.x.shape[1] + 1)))
         return mix.points(offsets, rng.choice(len(mass), size=size, p=mass))
 
-    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
+    def scattered(self, count: int, key: int) -> tuple[Floats, Floats]:
         mix = self.mixture
         offsets = mixture.drawn(mix.kernel.kind, quasi_random(count, self.x.shape[1] + 1, key))
         points = mix.points(offsets, systematic(mix.mass[: len(self.x)], count))
@@ -225,10 +271,10 @@ class Polynomials(Shape):
     def mean(self) -> Floats:
         return self.mass @ self.x if self.moments is None else self.moments[0].copy()
 
-    def cov(self, centre: Floats | None = None) -> Floats:
+    def cov(self, centre: Floats) -> Floats:
         if self.moments is not None:
             return self.moments[1].copy()
-        d = self.x - (self.mean() if centre is None else centre)
+        d = self.x - centre
         return (d * self.mass[:, None]).T @ d
 
     def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
@@ -248,7 +294,7 @@ class Polynomials(Shape):
         X, w = self._weighed(rng.random((32, len(self.field.mu))))
         return X[rng.choice(len(X), size=size, p=w)]
 
-    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
+    def scattered(self, count: int, key: int) -> tuple[Floats, Floats]:
         """Points in the cells: of many states in each, as many as the density says; some of all modes alike.
 
         Of a mode that holds next to nothing, and that a reading may make much of, points know then, too.
@@ -308,94 +354,6 @@ class Polynomials(Shape):
         """States (M k, n) in all cells, at `uniform` (k, n) or (M, k, n) parts of them."""
         offsets = (uniform % 1.0 - 0.5) @ self.field.A.T
         return (self.cells[:, None] + offsets).reshape(-1, offsets.shape[-1])
-
-
-@dataclass(frozen=True, eq=False)
-class Folded(Shape):
-    """A shape whose states live in a domain: round circles, between walls."""
-
-    shape: Any  # that has particles: `Kernels`, `Polynomials` or an `Exponential`
-    domain: Domain
-
-    @property
-    def bare(self) -> Any:
-        return self.shape
-
-    @property
-    def smooth(self) -> bool:
-        return self.shape.smooth
-
-    @property
-    def cell(self) -> Floats | None:
-        return self.shape.cell
-
-    @property
-    def _ends(self) -> bool:
-        """Do polynomials end at walls, and go round no circle? Their moments are integrals then."""
-        return self.shape.smooth and not self.domain.periodic.any()
-
-    @cached_property
-    def _seen(self) -> Kernels | Polynomials:
-        return self.shape.around(self.domain)
-
-    def pdf(self, X: Floats) -> Floats:
-        """Density, shape (M,); zero beyond the ends."""
-        turns = self._seen.turns(self.domain, X)
-        out = self._seen.pdf(turns[0]) if len(turns) == 1 else np.exp(self._summed(turns))
-        out[~self.domain.contains(X)] = 0.0
-        return out
-
-    def logpdf(self, X: Floats) -> Floats:
-        turns = self._seen.turns(self.domain, X)
-        out = self._seen.logpdf(turns[0]) if len(turns) == 1 else self._summed(turns)
-        out[~self.domain.contains(X)] = -np.inf
-        return out
-
-    def _summed(self, turns: list[Floats]) -> Floats:
-        return special.logsumexp([self._seen.logpdf(Y) for Y in turns], axis=0)
-
-    def gradient(self, X: Floats) -> Floats:
-        turns = self._seen.turns(self.domain, X)
-        out = sum((self._seen.gradient(Y) for Y in turns), np.zeros(X.shape))
-        out[~self.domain.contains(X)] = 0.0
-        return out
-
-    def mean(self) -> Floats:
-        """Mean direction of periodic axes, mean of others, shape (n,)."""
-        if self._ends:
-            return self.shape.mean()
-        return self.domain.mean(self.shape.x, self.shape.mass)
-
-    def cov(self, centre: Floats | None = None) -> Floats:
-        """Covariance of differences from the mean direction, whatever the centre, shape (n, n)."""
-        if self._ends:
-            return self.shape.cov(centre)
-        d, mass = self.domain.nearest(self.shape.x - self.mean()), self.shape.mass
-        return (d * mass[:, None]).T @ d + self.shape.widening * np.eye(d.shape[1])
-
-    def states(self, count: int, smooth: bool) -> tuple[Floats, Floats]:
-        """Weighted states of the shape, inside of the domain."""
-        X, w = self._seen.states(count, smooth)
-        return self.domain.fold(X), w
-
-    def expected(self, function: OfStates, X: Floats, w: Floats) -> float:
-        return self.shape.expected(function, X, w)
-
-    def sample(self, size: int, rng: np.random.Generator) -> Floats:
-        return self.domain.fold(self._seen.sample(size, rng))
-
-    def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
-        x, w = self._seen.drawn(count, key)
-        return self.domain.fold(x), w
-
-    def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
-        return self._seen.marginal(axes)
-
-    def ends(self) -> tuple[Floats, Floats, Floats]:
-        low, high, width = self._seen.ends()
-        if self.domain.periodic[0]:
-            return self.domain.low, self.domain.high, width
-        return *self.domain.within(low.min(), high.max(), 0.0), width
 
 
 def _cell_points(n: int, cells: int, smooth: bool, most: int = CELL_POINTS, least: int = 4) -> Floats:

@@ -18,9 +18,9 @@ from ..core.limits import LITTLE, TINY
 from ..errors import ModelError
 from ..validate import state_rows
 from . import weighted
-from .cloud import KERNEL, points_of, smoothing_length
+from .cloud import KERNEL, smoothing_length
 from .defect import OF_SHIFT, read_out
-from .points import moments
+from .moments import moments
 from .quasi_random import FEW_STATES
 from .shapes import CELL_POINTS
 from .weighted import WeightedStates
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .particle_density import ParticleDensity
 
 _SUBPOINTS = 128  # points that stand for one kernel where an integral over it has no closed form
-_FEW_SUBPOINTS = 16  # where the density at each is wanted
+FEW_SUBPOINTS = 16  # where the density at each is wanted
 #: Points of a distribution function in a smoothing length or a cell: in units of it Simpson's rule misses
 #: h^4 / 180 = 8e-8 of a fourth derivative, h = 1 / 16.
 _FINE = 16
@@ -100,9 +100,8 @@ def _low_moment(density: "ParticleDensity", powers: Ints, centre: Floats | None)
 def quantile(density: "ParticleDensity", axis: int, probability: ArrayLike) -> Any:
     """Where one state's distribution function reaches `probability` (K,), counted from a domain's low end."""
     checked_axes([axis], density.dim)
-    if density.read_out == "points":
-        X, w = density.form.states(_SUBPOINTS, False)
-        return weighted.quantile_of(X[:, axis], w, probability)
+    if (atoms := density.form.atoms) is not None:
+        return weighted.quantile_of(atoms[0][:, axis], atoms[1], probability)
     probability = weighted.checked_part(probability)
     y, F = _distribution(density.marginal([axis]))
     found = np.interp(probability, F, y)
@@ -111,9 +110,9 @@ def quantile(density: "ParticleDensity", axis: int, probability: ArrayLike) -> A
 
 def entropy(density: "ParticleDensity") -> float:
     """-E[log p], nats."""
-    X, w = density.form.states(_FEW_SUBPOINTS, True)
-    if density.read_out == "points" and density.log_density is not None:
-        return -float(w @ density.log_density)
+    if (known := density.form.known_entropy) is not None:
+        return known
+    X, w = density.form.states(FEW_SUBPOINTS, True)
     log_p = density.logpdf(X)
     inside = log_p > -np.inf  # not what kernels spread beyond a wall
     return -float(w[inside] @ log_p[inside] / w[inside].sum())
@@ -122,7 +121,7 @@ def entropy(density: "ParticleDensity") -> float:
 def highest_region(density: "ParticleDensity", probability: float) -> Region:
     """The region of highest density that holds a probability."""
     share = weighted.checked_part(probability)
-    X, w = density.form.states(_FEW_SUBPOINTS, False)
+    X, w = density.form.states(FEW_SUBPOINTS, False)
     p = density.pdf(X)
     order = np.argsort(-p, kind="stable")
     p, w = p[order], w[order]
@@ -133,7 +132,7 @@ def highest_region(density: "ParticleDensity", probability: float) -> Region:
 
 def spread(density: "ParticleDensity") -> WeightedStates:
     """A density as `WeightedStates`: points in its cells or kernels, and how it is read between them."""
-    X, w = density.form.states(_FEW_SUBPOINTS, False)
+    X, w = density.form.states(FEW_SUBPOINTS, False)
     return WeightedStates(X, w, density.logpdf)
 
 
@@ -146,7 +145,7 @@ def mode(density: "ParticleDensity") -> Floats:
     """The state of highest density, shape (n,): the best particle, then a simplex search from it."""
     from scipy import optimize  # on use: import time
 
-    X = density.form.states(_FEW_SUBPOINTS, False)[0] if density.read_out == "cloud" else density.x
+    X = density.form.states(FEW_SUBPOINTS, False)[0] if density.read_out == "cloud" else density.x
     best = X[np.argmax(density.pdf(X))]
     simplex = np.vstack([best, best + 0.5 * np.median(density.h) * np.eye(density.dim)])
     found = optimize.minimize(
@@ -195,7 +194,7 @@ def _by_defect(density: "ParticleDensity", answer: Answer) -> Floats:
     family, defect = density.family, density.defect
     if family is None or defect is None:
         return _by_moving(density, answer)
-    x, w = points_of(density, FEW_STATES, 0)
+    x, w = density.form.drawn(FEW_STATES, 0)
     away = x - family.mu if density.domain is None else density.domain.nearest(x - family.mu)
     off = defect.at(family, family.mu + away)
     heavier = w * np.exp(np.clip(off - w @ off, -_MOST_OFF, _MOST_OFF))
@@ -228,7 +227,7 @@ def _by_parts(density: "ParticleDensity", answer: Answer) -> Floats:
 
 def _by_moving(density: "ParticleDensity", answer: Answer) -> Floats:
     """Of a density without points of its own: by how much it changes as mean and variances are off."""
-    points = points_of(density, FEW_STATES, 0)
+    points = density.form.drawn(FEW_STATES, 0)
     return _moved(density, answer, points, answer(_cloud(density, *points)), density.error)
 
 
@@ -265,7 +264,7 @@ def pdf_error(density: "ParticleDensity") -> float:
     if density.cloud is None or density.read_out != "cloud":
         return math.nan
     shadow = _cloud(density, *density.cloud.shadow[:2])
-    X, w = density.form.states(_FEW_SUBPOINTS, False)
+    X, w = density.form.states(FEW_SUBPOINTS, False)
     with np.errstate(invalid="ignore"):
         off = np.expm1(0.5 * (shadow.logpdf(X) - density.logpdf(X)))
     square = 0.5 * (w @ np.where(np.isnan(off), 0.0, off) ** 2)  # none of either beyond a wall

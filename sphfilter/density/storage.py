@@ -24,16 +24,16 @@ from ..core.field.stencils import stencils
 from ..errors import ModelError
 from ..model.domain import Domain
 from ..model.dynamics import Dynamics
-from .as_cloud import cloud_density, cloud_of
-from .cloud import matched, passages_of
+from .as_cloud import cloud_density, cloud_of, passages_of
 from .defect import Defect
 from .family import Family
 from .left_out import LeftOut
 from .memory import Memory
+from .moments import matched, moments
 from .particle_density import ParticleDensity
 from .passage import gone_again
 from .pieces import Pieces
-from .points import NO_LINES, CloudState, Origin, Pace, Passage, Path, Points, Told, moments
+from .points import NO_LINES, CloudState, Origin, Pace, Passage, Path, Points, Told
 from .quasi_random import FEW_STATES, weighted_points
 
 #: Arrays by name.

@@ -11,17 +11,15 @@ from ..model.measurements import GaussianMeasurement
 from ..model.sde import SDE
 from ..model.sensors import Sensors
 from ..model.tables import Table
-from .text import ModelText, Reads, Sensor, TableText
+from .text import OF_RATES, OF_STEPS, ModelText, Reads, Sensor, TableText
 
 AnySensor: TypeAlias = GaussianMeasurement | Sensors
-#: What only one of the two kinds of models is made of.
-_RATES = ("drift", "spectral_density", "diffusion", "interpretation")
-_STEPS = ("transition", "covariance", "noises", "period")
 
 
 def model_of(text: ModelText) -> SDE | DiscreteModel:
     """The model; raises `ExpressionError` or `ModelError`."""
-    others = {"labels", "units", *(_STEPS if text.drift else _RATES)}
+    own = ("transition", *OF_STEPS) if text.drift else ("drift", "interpretation", *OF_RATES)
+    others = {"labels", "units", *own}
     values: dict[str, Any] = {k: v for k, v in asdict(text).items() if k not in others}
     values["tables"] = tables_of(text.tables)
     if text.drift:

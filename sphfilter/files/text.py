@@ -18,7 +18,7 @@ _End: TypeAlias = float | Literal["none"]
 _Inputs: TypeAlias = tuple[str, ...] | dict[str, float]
 
 #: What only models in discrete time have, and only differential equations.
-_OF_STEPS, _OF_RATES = ("covariance", "noises", "period"), ("spectral_density", "diffusion")
+OF_STEPS, OF_RATES = ("covariance", "noises", "period"), ("spectral_density", "diffusion")
 
 
 def _bounds(axis: Any) -> Any:
@@ -112,7 +112,7 @@ class ModelText:
         if bool(self.drift) == bool(self.transition):
             both = "both are there" if self.drift else "none is there"
             raise ValueError(f"give a drift, or a transition of a model in discrete time; {both}")
-        own, others = ("drift", _OF_STEPS) if self.drift else ("transition", _OF_RATES)
+        own, others = ("drift", OF_STEPS) if self.drift else ("transition", OF_RATES)
         for key in others:
             if getattr(self, key):
                 raise ValueError(f"{key} does not go with a {own}")

@@ -19,8 +19,9 @@ from ..core.cloud.guide import look_ahead, of_first, over_both
 from ..core.cloud.reader import PARTS
 from ..core.cloud.weights import effective, normalise
 from ..core.limits import TINY
+from ..density.moments import columns
 from ..density.passage import along, gone, normals, relinearised, stored_key, sub_key
-from ..density.points import Carried, Passage, Points, columns
+from ..density.points import Carried, Passage, Points
 from ..density.quasi_random import NetPart, net
 from .stacked import Stacked, Walked, seen
 

@@ -12,9 +12,9 @@ import numpy as np
 from ..config import CloudScheme
 from ..density.distributions import Gaussian
 from ..density.initialize import initialize
-from ..density.memory import min_nodes
 from ..errors import PropagationError
 from ..info import Code
+from ..lattice.level_set import min_nodes
 from ..model.likelihood import LikelihoodMeasurement
 from ..model.measurements import Sensor, has_gaussian_noise
 from ..model.named import driven

@@ -1,7 +1,6 @@
 """Prior times likelihood as one exponential family, in a frame of its own."""
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,6 @@ import numpy as np
 from .._types import Floats
 from ..core.limits import ALIKE, LARGEST_EXPONENT, LOOK
 from ..density.as_family import defect_in, family_density, family_of, moments_on_line
-from ..density.cloud import points_of
 from ..density.defect import OF_UNSIGNED, after_reading, read_out
 from ..density.family import Family, gaussian_family, moments_apart, node_moments
 from ..density.family_posterior import family_posterior
@@ -109,7 +107,7 @@ def _errors_beyond_nodes(
     to tell.
     """
     key = stored_key(age_of(density), Use.ELSEWHERE)
-    X, mass = points_of(replace(density, domain=None), _LOOKED_AT, key)
+    X, mass = density.form.bare.drawn(_LOOKED_AT, key)
     weight = asked.weight_on(density.domain)
     (_, cov), (own_mean, own_cov) = _moments(prior), _moments(posterior)
     root = np.linalg.inv(np.linalg.cholesky(own_cov))

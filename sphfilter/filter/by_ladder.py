@@ -8,10 +8,11 @@ from ..config import FilterConfig
 from ..core.step_control import TRIES
 from ..density.as_family import as_polynomials, may_miss
 from ..density.defect import ROUGH
-from ..density.memory import Memory, error_budget, flagged_from, min_nodes, tolerated_excess
+from ..density.memory import Memory, error_budget, flagged_from, tolerated_excess
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..info import DOUBTFUL, Code, may_be_off
+from ..lattice.level_set import min_nodes
 from ..lattice.resolved import MOST
 from ..prediction.ladder import becomes_cloud, best_family, first_degree, prefers_cloud
 from ..prediction.to_target import ORDER
@@ -32,7 +33,7 @@ def by_ladder(
     """
     needs = (density.needs or Memory())._replace(legs=0)
     walled = density.walls[0].size > 0
-    by_cloud = density.field is None and not walled and prefers_cloud(density.dim, needs, target)
+    by_cloud = density.form.cell is None and not walled and prefers_cloud(density.dim, needs, target)
     if density.pieces is not None and asked.linear:
         return _on_pieces(density, asked, target, needs)
     exact = asked.linear and density.gaussian
@@ -57,14 +58,15 @@ def _on_family(
     density: ParticleDensity, asked: ReadingAtPrior, target: float, needs: Memory
 ) -> Posterior | None:
     """The posterior as one family, of as high a degree as the error asks; None where none will do."""
-    if density.family is None or density.walls[0].size:
+    own = density.form.degree
+    if own == 0 or density.walls[0].size:
         return None
 
     def updated(degree: int, most: float) -> tuple[Posterior, float]:
         new, said, added = by_family(density, asked, degree, density.capacity or 0, most)
         return (new, said), added
 
-    first = max(first_degree(density.dim, needs), 0 if density.gaussian else density.family.degree)
+    first = max(first_degree(density.dim, needs), 0 if density.gaussian else own)
     first = first or (2 if density.gaussian and asked.linear else 0)  # Kalman's rule, of however many states
     best = best_family(density.dim, error_budget(density.error, target), first, updated)
     if best is None:

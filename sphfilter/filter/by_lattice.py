@@ -19,10 +19,10 @@ from ..lattice.resolved import TOLERATED, Resolved
 from ..lattice.walls import moved_in
 from .by_cloud import by_cloud
 from .inherited import evidence_error_of, of_shape, shift_left_by_update
-from .reading_at_prior import Posterior, ReadingAtPrior
+from .reading_at_prior import OUTLYING, Posterior, ReadingAtPrior
 
-#: Deviations beyond particles to which a tail is trusted, and a Gaussian's; measured: half changes no run.
-_TRUSTED_TAIL, _TRUSTED_GAUSSIAN = 5.0, 20.0
+#: Deviations beyond particles to which a Gaussian's tail is trusted; measured: half changes no run.
+_TRUSTED_GAUSSIAN = 20.0
 
 
 def by_lattice(
@@ -132,10 +132,10 @@ def _beyond(prior: ParticleDensity, posterior: ParticleDensity) -> str:
     """Say so where the posterior lies so far outside of the prior's particles that its shape is a guess."""
     L = np.linalg.cholesky(prior.cov())
     away = np.linalg.norm(np.linalg.solve(L, posterior.mean() - prior.mean()))
-    if away < _TRUSTED_TAIL:
+    if away < OUTLYING:
         return ""
     edge = np.linalg.norm(np.linalg.solve(L, (prior.x - prior.mean()).T), axis=0).max()
-    if away - edge < (_TRUSTED_GAUSSIAN if prior.gaussian else _TRUSTED_TAIL):
+    if away - edge < (_TRUSTED_GAUSSIAN if prior.gaussian else OUTLYING):
         return ""
     return (
         f"not used: the posterior would lie {away - edge:.0f} standard deviations outside of the prior's "

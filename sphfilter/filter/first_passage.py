@@ -17,7 +17,6 @@ from .._types import Floats
 from ..core.cloud.control import SHADOW
 from ..core.cloud.pace import FIRST_TRIED, Steps
 from ..core.limits import LITTLE, TINY
-from ..density.cloud import points_of
 from ..density.particle_density import ParticleDensity
 from ..density.passage import MOST, age_of, chosen_steps, moved_points, points_of_sample, stored_key
 from ..density.points import Points
@@ -49,7 +48,7 @@ def passed(
     """
     bridged = _numbers(event, density.x[:1], density.domain) is not None
     keys = [(count, stored_key(age_of(density), count)) for count in (STATES // SHADOW, STATES)]
-    clouds = [points_of_sample(Points(*points_of(density, n, key)), n, key) for n, key in keys]
+    clouds = [points_of_sample(Points(*density.form.drawn(n, key)), n, key) for n, key in keys]
     found: list[Floats] = []
     apart, before, looks = [], np.full(len(times), np.nan), 1
     while True:

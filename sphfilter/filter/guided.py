@@ -19,8 +19,9 @@ from ..core.cloud.reading import OWN, weigh
 from ..core.cloud.steps import NO_LEG
 from ..core.cloud.weights import effective, prior_times
 from ..core.limits import ALIKE
+from ..density.moments import columns
 from ..density.passage import gone, leading_nets, nets_of, normals, sub_key
-from ..density.points import Carried, Points, Prior, columns
+from ..density.points import Carried, Points, Prior
 from ..density.quasi_random import NetPart, net
 from ..model.compile import surfacing
 from .bridged import bridged

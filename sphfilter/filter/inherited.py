@@ -9,8 +9,9 @@ from .._types import Floats
 from ..core.cloud.lineages import LINES
 from ..density.as_family import defect_in, may_miss, moments_on_line
 from ..density.defect import OF_UNSIGNED, ROUGH, Moments, Told, read_out, read_out_after, steepness, told_at
+from ..density.moments import whitener
 from ..density.particle_density import ParticleDensity
-from ..density.points import CloudState, Origin, Points, whitener
+from ..density.points import CloudState, Origin, Points
 
 _LEFT = 0.25  # least part of an error² left; measured: half: no change, twice: .95, 1.06 times the work
 

@@ -13,12 +13,13 @@ from .._types import Floats, Interval, Readings, Reported
 from ..config import FilterConfig
 from ..consistency.ranks import Ranker
 from ..density.as_cloud import thinned
-from ..density.memory import Memory, flagged_from, min_nodes, usual_error, usual_points
+from ..density.memory import Memory, flagged_from, usual_error, usual_points
 from ..density.modes import ModeDensities
 from ..density.particle_density import ParticleDensity
 from ..density.weighted import WeightedStates
 from ..errors import ModelError
 from ..info import DOUBTFUL, NOTHING_CAME, Code
+from ..lattice.level_set import min_nodes
 from ..model.compile import StateFunction
 from ..model.dynamics import Dynamics
 from ..model.jump_markov import JumpMarkovModel

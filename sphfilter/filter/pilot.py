@@ -10,7 +10,8 @@ import numpy as np
 from .._types import Floats
 from ..core.cloud.weights import effective, normalise, prior_times
 from ..core.limits import ALIKE
-from ..density.points import Points, moments
+from ..density.moments import moments
+from ..density.points import Points
 from .stacked import Stacked
 
 _NARROWEST = 1e-12  # part of a prior's variance that rounding leaves

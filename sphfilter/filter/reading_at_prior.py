@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig
 from ..core.limits import STEP, TINY
+from ..density.moments import moments, whitener
 from ..density.particle_density import ParticleDensity
-from ..density.points import moments, whitener
 from ..errors import ModelError
 from ..info import DOUBTFUL, Code, may_be_off
 from ..lattice.resolved import Search
@@ -20,8 +20,9 @@ from ..validate import state_rows
 #: A density after a reading, and fields of the info of that.
 Posterior: TypeAlias = tuple[ParticleDensity, dict[str, Any]]
 OUTLYING = 5.0  # standard deviations from its prediction: 2 Φ(-5) = 6e-7 of numbers read lie so far out
-_SHARP = 5.0  # standard deviations of noise between nodes' readings ... (measured: half changes no run)
-_BENT = 1.0  # ... and that some are bent by in a cell (measured: half changes no run, twice errors by .8)
+#: Standard deviations of noise that some readings of nodes are bent by in a cell, where they are outlying
+#: for each other. Measured: half changes no run, twice errors by .8.
+_BENT = 1.0
 _ITERATIONS = 8  # measured: half and twice change errors of four sharp readings by .6 to 1.4 times
 _DAMPED = 1e-6  # of the largest curvature; measured: with 1e-8, 1e-4 errors are .7 to 1.4 times as large
 
@@ -186,7 +187,7 @@ def solutions(sensor: GaussianSensor, z: Floats, x: Floats, cell: Floats, t: flo
     diagonal = cell.sum(axis=1)
     between, ahead = off(x + 0.5 * diagonal), off(x + diagonal)
     apart, bent = np.abs(ahead - here).sum(axis=1), np.abs(ahead - 2.0 * between + here).sum(axis=1)
-    if not (np.nanmedian(apart) > _SHARP and np.nanmax(bent) > _BENT):
+    if not (np.nanmedian(apart) > OUTLYING and np.nanmax(bent) > _BENT):
         return None
     x = x.copy()
     for _ in range(_ITERATIONS):

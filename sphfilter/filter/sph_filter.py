@@ -12,12 +12,13 @@ from ..config import FilterConfig
 from ..consistency.ranks import Ranker
 from ..core.cloud.control import MOST_POINTS
 from ..density.as_cloud import thinned
-from ..density.memory import max_particles, min_nodes
+from ..density.memory import max_particles
 from ..density.particle_density import ParticleDensity
 from ..density.resample import max_particles_of
 from ..density.weighted import WeightedStates
 from ..errors import ModelError
 from ..info import NOTHING_CAME, PredictInfo, UpdateInfo
+from ..lattice.level_set import min_nodes
 from ..lattice.resolved import MOST
 from ..model.compile import StateFunction
 from ..model.dynamics import Dynamics

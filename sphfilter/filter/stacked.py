@@ -13,7 +13,7 @@ from ..core.cloud.linearise import lower_and_rows
 from ..core.cloud.reader import Reader
 from ..core.cloud.weights import finite_rows
 from ..core.limits import DIFFERENCE
-from ..density.points import columns
+from ..density.moments import columns
 from ..model.domain import Domain
 from ..model.measurements import block as block_of
 from ..model.measurements import has_gaussian_noise, has_own_likelihood, is_gaussian

@@ -16,8 +16,9 @@ from ..core.cloud.given import move_along, noise_of, renew, uniforms
 from ..core.cloud.move import affine
 from ..core.cloud.weights import effective, normalise, systematic
 from ..core.limits import LOOK, TINY
+from ..density.moments import columns
 from ..density.passage import normals, sub_key
-from ..density.points import Carried, Points, columns
+from ..density.points import Carried, Points
 from ..model.compile import surfacing
 
 #: Passes of N points in all, twenty times both of the guided ones; of these, such that draw from the prior,

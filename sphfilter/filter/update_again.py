@@ -16,7 +16,6 @@ from ..core.cloud.control import WRONG, points_for
 from ..core.limits import EDGE, LARGEST_EXPONENT, LOOK, SAID
 from ..core.step_control import HELPED, TRIES
 from ..density.as_family import may_miss
-from ..density.cloud import moments_of, points_of
 from ..density.left_out import LeftOut, lacking
 from ..density.memory import MISSED, Memory
 from ..density.particle_density import ParticleDensity
@@ -106,7 +105,7 @@ def update_or_predict_again(
         once = prior, posterior, info
         return Outcome(*_without_family(prediction, once, measurement, z, config), bound)
     known = prior.gaussian or info.extrapolated < SAID
-    if known or prediction.readings or before is None or before.field is None:
+    if known or prediction.readings or before is None or before.form.cell is None:
         return Outcome(prior, posterior, info, bound)
     from scipy.stats import chi2  # on use: import time
 
@@ -149,7 +148,7 @@ def _used_together(
     if prior is None or posterior.gaussian or prior.domain is not None or not (ends and few):
         return once
     if posterior.left_out is None:  # nodes of the prior know of nothing: points that are drawn may
-        x, mass = points_of(prior, 32 * LOOK, stored_key(age_of(prior), len(readings)))
+        x, mass = prior.form.drawn(32 * LOOK, stored_key(age_of(prior), len(readings)))
         log_l = sum(sensor.log_likelihood(z, x, prior.t) for sensor, z in readings)
         log_l = log_l - before - info.log_evidence
         mass = mass * np.exp(np.minimum(log_l, LARGEST_EXPONENT))
@@ -286,7 +285,8 @@ def _added(
         return error
     assert cloud is not None and cloud.points.prior is not None
     seen = Stacked.of(cloud.points.prior.readings, prior.domain)
-    about = prediction.legs, before.t, seen, moments_of(posterior), target
+    points: Any = posterior.form.bare
+    about = prediction.legs, before.t, seen, points.summed, target
     added = error_added(before.cloud, cloud, *about)
     return added if added < error else error
 

@@ -15,7 +15,7 @@ from .._types import Floats
 from ..config import FilterConfig
 from ..core.limits import SAID
 from ..density.modes import ModeDensities
-from ..density.points import moments_of_sum
+from ..density.moments import moments_of_sum
 from ..errors import PropagationError
 from ..info import NOTHING_CAME, Code, UpdateInfo
 from ..model.measurements import Sensor

@@ -18,9 +18,10 @@ from ..core.cloud.control import SHADOW, error_by, least_error
 from ..core.cloud.pace import Steps
 from ..core.cloud.weights import effective, normalise
 from ..density.as_cloud import cloud_density
+from ..density.moments import moments
 from ..density.particle_density import ParticleDensity
 from ..density.passage import along, stored_key
-from ..density.points import Points, Told, moments
+from ..density.points import Points, Told
 from ..density.quasi_random import systematic
 from ..errors import PropagationError
 from ..filter.sph_filter import SPHFilter
@@ -147,7 +148,7 @@ def _started(start: ParticleDensity, said: Said, count: int, key: int) -> tuple[
     mean, root = start.mean(), rooted(start.cov())
     u, log_w = start_led(mean, root, count, said, key)
     x = mean + np.einsum("ab,ib->ia", root, u)
-    if start.family is None or start.family.degree != 2:
+    if start.form.degree != 2:
         log_normal = -0.5 * (u**2 + np.log(2.0 * np.pi)).sum(axis=1) - np.log(np.diag(root)).sum()
         with np.errstate(divide="ignore"):
             log_w = log_w + np.log(start.pdf(x)) - log_normal

@@ -188,9 +188,10 @@ def _shape(filt: SPHFilter, start: Callable[..., SPHFilter], evidence: Evidence)
     for t, z, u in zip(evidence.times, evidence.measurements, driving, strict=True):
         for step in (partial(trial.predict, t=t, u=u), partial(trial.update, z)):
             step()
-            if trial.density.family is None:
+            own = trial.density.form.degree
+            if own == 0:
                 return on_particles
-            degree = max(degree, trial.density.family.degree)
+            degree = max(degree, own)
     if isinstance(filt.model, DiscreteModel):
         return {"config": filt.config}  # in closed form, every step
     scheme = FamilyScheme(degree=degree, tolerance=_TOLERANCE)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from .. import drawing
 from .._types import Floats, Ints
 from ..core.limits import TINY
-from ..density.points import moments
+from ..density.moments import moments
 from ..density.quasi_random import quasi_random
 from ..density.weighted import quantile_of
 from ..errors import EstimationError, ModelError

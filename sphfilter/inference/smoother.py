@@ -19,7 +19,7 @@ from ..config import CloudScheme, LogDensityScheme
 from ..core.field.field import Field
 from ..density.family import ON_LATTICE
 from ..density.particle_density import ParticleDensity
-from ..density.resample import on_lattice, times_likelihood
+from ..density.resample import no_weight, on_lattice, times_likelihood
 from ..errors import ModelError, PropagationError
 from ..filter.readings import rows_of, sensor_of
 from ..filter.results import FilterResult
@@ -27,6 +27,7 @@ from ..filter.sph_filter import SPHFilter
 from ..info import DOUBTFUL
 from ..lattice.field import extrapolated_mass, nodes
 from ..lattice.level_set import lattice_reach
+from ..lattice.resolved import TIMES
 from ..model.discrete import DiscreteModel
 from ..model.measurements import Sensor
 from ..model.named import InputRecord, driven, each_input
@@ -295,7 +296,7 @@ def _backward(epochs: list[_Epoch]) -> list[tuple[ParticleDensity, float, float,
     """Density, log-evidence of all measurements, extrapolated probability and error at every epoch."""
     last = epochs[-1].filt
     scheme = LogDensityScheme(reach=lattice_reach(last.config.scheme, last.model.dim) + _FURTHER)
-    laid: Any = times_likelihood(last.density, lambda X: np.zeros(len(X)), last.n_particles, scheme)[0]
+    laid: Any = times_likelihood(last.density, no_weight, last.n_particles, scheme)[0]
     found = likelihood_field(laid.field, epochs[-1].log_likelihood(nodes(laid.field)))
     out = [(last.density, last.log_evidence, 0.0, math.nan)]
     for before, after in zip(epochs[-2::-1], epochs[:0:-1], strict=True):
@@ -327,7 +328,7 @@ def _one_back(
             log_beta = chapman_kolmogorov.integrated_back(model, found, prior)
         else:
             log_beta = carried_back(model, found, prior, t)
-        for times in (1, 3, 9) if isinstance(model, DiscreteModel) else (1,):  # as a `Ladder` goes
+        for times in TIMES if isinstance(model, DiscreteModel) else TIMES[:1]:
             many = times * before.filt.n_particles
             smoothed, future, laid = times_likelihood(prior, log_beta, many, scheme)
             if laid.off.residual <= DOUBTFUL:

@@ -70,7 +70,7 @@ def _least_nodes(n_particles: int, n: int) -> int:
     return int(np.clip(0.6 * n_particles ** (1.0 / n), 3, 6))
 
 
-def _dims(span: Floats, n_nodes: int, volume_fraction: float, anisotropy: float, least: int = 2) -> Ints:
+def _dims(span: Floats, n_nodes: int, volume_fraction: float, anisotropy: float, least: int) -> Ints:
     """Nodes per axis for spacings that differ at most by `anisotropy` (002 (50)-(56))."""
     # a posterior thinner than that across the axes is resolved less
     volume_fraction = max(volume_fraction, n_nodes / MOST_NODES)

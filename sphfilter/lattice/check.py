@@ -76,7 +76,7 @@ def beside(field: Field | None, mean: Floats, cov: Floats, walls: Walls = NO_WAL
     return Beside(left_out(field, walls), float(np.linalg.norm(added)))
 
 
-def cells_beside(field: Field, walls: Walls = NO_WALLS) -> tuple[Floats, Floats]:
+def cells_beside(field: Field, walls: Walls) -> tuple[Floats, Floats]:
     """States (K, n) and probabilities (K,) of the cells that were asked beyond the cut of a density."""
     X = field.mu + field.node[field.kept :] @ field.A.T
     return X, np.exp(field.log_p[field.kept :]) * abs(np.linalg.det(field.A)) * inside(walls, X)

@@ -7,6 +7,7 @@ density far away.
 """
 
 import math
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -56,6 +57,11 @@ def lattice_reach(scheme: object, n: int) -> float:
     return given or {1: 5.5, 2: 4.2}.get(n, 4.0)
 
 
+def lattice_depth(scheme: object, n: int) -> float:
+    """Nats below the highest value of a Gaussian's log p at its Z: where lattices are cut."""
+    return 0.5 * lattice_reach(scheme, n) ** 2
+
+
 def root_of(cov: Floats, why: str = "a piece is flat along some combination of the states") -> Floats:
     """Lower factors of covariances (..., n, n); raises `PropagationError` that says why where one is flat."""
     try:
@@ -74,9 +80,20 @@ def fewest_particles(n: int) -> int:
     return (3**n if n <= 2 else 2 * n * n + 1) * (2 if n > 1 else 3)
 
 
+@cache
+def min_nodes(dim: int) -> int:
+    """Number of nodes that a lattice begins with, and never has less of."""
+    return max(60, 3 * fewest_particles(dim))
+
+
+def usual_nodes(dim: int) -> int:
+    """Number of nodes of a lattice of a density that lay on none before."""
+    return 4 * min_nodes(dim)
+
+
 def enough_particles(n: int) -> int:
     """Particles, to two digits, of a lattice that holds a Gaussian of n states and its variance."""
-    nodes = gaussian_volume(n, 0.5 * lattice_reach(None, n) ** 2) / _WIDE**n
+    nodes = gaussian_volume(n, lattice_depth(None, n)) / _WIDE**n
     return max(fewest_particles(n), int(float(f"{nodes:.2g}")))
 
 

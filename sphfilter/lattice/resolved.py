@@ -11,6 +11,7 @@ from .._types import Bools, Floats, OfStates
 from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS, Walls
 from ..core.limits import LARGEST_EXPONENT, ROUNDING, SAID, TINY
+from ..core.step_control import TRIES
 from ..errors import PropagationError
 from . import field as lattice_field
 from .check import Misfit, felt, left_out, misfit
@@ -21,12 +22,11 @@ from .walls import between, inside, moved_in
 
 TOLERATED = 0.05  # residual of a lattice that is not laid again; measured: half takes up to 1.6 times as long
 HIGHER = 1.0  # nats above polynomials that overlook something; measured: half, twice move means by .003
-_TIMES = (1, 3, 9)  # particles of the first try; measured: with (1, 2) means are off by up to .27
+TIMES = (1, 3, 9)  # particles of the first try; measured: with (1, 2) means are off by up to .27
 #: Particles of a step that is made again. Measured: twice takes up to 1.14 times the work, half the same.
 MOST = 20_000
 #: Times what a Gaussian leaves out, that may lie beside the nodes; measured: half and twice change no run.
 _BESIDE = 10.0
-_PIECES = 3  # peaks that get a lattice of their own; measured: 1 and 6 change no run
 _SHALLOWER = (1.0, 0.75, 0.5)  # depths of a peak's lattice; measured: (1,) fails in test_update_seeing.py
 
 
@@ -152,15 +152,15 @@ def _between(laid: LatticeDensity, parts: list[_Part]) -> float:
     """Probability that lies between the nodes of a lattice, whose polynomials know nothing of it."""
     most = -math.inf
     for part in parts:
-        unknown = part.w @ (_above(laid, part) & ~_beside(laid, part))
+        unknown = part.w @ (_unknown(laid, part) & ~_beside(laid, part))
         most = max(most, math.log(max(float(unknown), TINY)) + part.log_mass - laid.log_mass)
     return 1.0 / (1.0 + math.exp(min(-most, LARGEST_EXPONENT)))
 
 
 def _missing(laid: LatticeDensity, part: _Part) -> tuple[float, float]:
     """Share of a part that lies in cells without a node, or of which nothing is known; as what it counts."""
-    beside, above = _beside(laid, part), _above(laid, part)
-    missing = above if part.w @ above > part.w @ beside else beside
+    beside, unknown = _beside(laid, part), _unknown(laid, part)
+    missing = unknown if part.w @ unknown > part.w @ beside else beside
     w, x = part.w[missing], part.x[missing]
     return float(w.sum()), float(w @ felt(laid.mean, laid.cov, x))
 
@@ -170,11 +170,16 @@ def _beside(laid: LatticeDensity, part: _Part) -> Bools:
     return ~lattice_field.inside_lattice(laid.field, moved_in(laid.walls, laid.field.A, part.x))
 
 
-def _above(laid: LatticeDensity, part: _Part) -> Bools:
-    """Whether the polynomials know nothing of states (M,) of a part: where its density is far above them."""
+def _unknown(laid: LatticeDensity, part: _Part) -> Bools:
+    """Whether the polynomials know nothing of states (M,) of a part; of a survey nothing tells."""
     if part.log_p is None:
         return np.zeros(len(part.x), dtype=bool)
-    return part.log_p - laid.log_mass - laid.log_p(part.x) > HIGHER
+    return _above(laid, part.x, part.log_p)
+
+
+def _above(laid: LatticeDensity, X: Floats, log_p: Floats) -> Bools:
+    """Whether a density of logarithms (M,) at states X (M, n) is far above the polynomials."""
+    return log_p - laid.log_mass - laid.log_p(X) > HIGHER
 
 
 def _overlooked(
@@ -206,7 +211,7 @@ def _overlooked(
         widest = values + np.log(np.sqrt(2.0 * math.pi) * np.diag(factor)).sum()  # no peak has more mass
         high = widest + np.log(felt(laid.mean, laid.cov, X)) > laid.log_mass + math.log(search.most_left_out)
         X, values = X[high], values[high]
-        above = values - laid.log_mass - laid.log_p(X) > HIGHER
+        above = _above(laid, X, values)
         X, values = X[above], values[above]
     elif values.max() < -1e200:
         return []
@@ -231,7 +236,7 @@ def _tries(
     shape = within_pieces(laid) if isinstance(laid, LatticeDensity) else found[0].factor if found else None
     tops = [_Part(peak.x[None], np.ones(1), peak.log_mass, product(peak.x[None])) for peak in found]
     parts += tops
-    heaviest = sorted(zip(found, tops, strict=True), key=lambda pair: -pair[0].log_mass)[:_PIECES]
+    heaviest = sorted(zip(found, tops, strict=True), key=lambda pair: -pair[0].log_mass)[:TRIES]
     for peak, top in heaviest:
         for shallower in _SHALLOWER:
             new = _around(product, peak, n_particles, shallower * depth, walls)
@@ -249,9 +254,9 @@ def _tries(
     X = np.concatenate([part.x for part in parts])
     values = product(X)
     highest = values.max()
-    deeper = max(depth, min(highest - _level(values, X, parts), 3.0 * depth))
+    deeper = max(depth, min(highest - _level(values, parts), 3.0 * depth))
     X = X[values > highest - deeper]
-    for times in _TIMES if search.finer else _TIMES[:1]:
+    for times in TIMES if search.finer else TIMES[:1]:
         if times * n_particles > MOST or (times == 1 and len(parts) == 1):
             continue
         try:
@@ -261,7 +266,7 @@ def _tries(
         yield Resolved(new, misfit(new, product), times=times)
 
 
-def _level(values: Floats, X: Floats, parts: list[_Part]) -> float:
+def _level(values: Floats, parts: list[_Part]) -> float:
     """Height of the lowest part's top, a few nats below which its mass is held too."""
     tops, start = [], 0
     for part in parts:

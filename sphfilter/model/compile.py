@@ -132,9 +132,9 @@ def reads_argument(function: object, index: int) -> bool:
     return any(name == v or (isinstance(v, tuple) and name in v) for v in values)
 
 
-def probe_states(dim: int, rows: int = 3) -> Floats:
-    """Return fixed, unremarkable states at which a function is tried once, shape (rows, dim)."""
-    return np.random.default_rng(20220).uniform(0.1, 0.9, (rows, dim))
+def probe_states(dim: int) -> Floats:
+    """Return fixed, unremarkable states at which a function is tried once, shape (3, dim)."""
+    return np.random.default_rng(20220).uniform(0.1, 0.9, (3, dim))
 
 
 def compile_rows(

@@ -16,7 +16,7 @@ from .domain import DomainLike
 from .dynamics import Dynamics, Functions, compiled
 from .named import Inputs, Values
 from .noise import Noise, noise_parts, reads_time
-from .tables import Tables, tables_of
+from .tables import Tables
 
 
 class DiscreteModel(Dynamics):
@@ -149,7 +149,7 @@ class DiscreteModel(Dynamics):
         from .symbolic import Vocabulary, symbolic_step  # imports sympy, which takes a second
 
         values = Values.of(parameters, inputs)
-        words = Vocabulary([*values.parameters], [*values.inputs], tables_of(tables))
+        words = Vocabulary.of(values, tables)
         if noises is None:
             noise, Q = _noise_of(noise, covariance, len(states))
             Q = np.eye(np.shape(noise)[-1]) if Q is None else Q

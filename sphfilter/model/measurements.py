@@ -14,7 +14,7 @@ from ..core.limits import DIFFERENCE, LOG_2_PI
 from ..errors import ModelError
 from .compile import StateFunction, compile_rows, filled, probe
 from .named import Adjustable, Inputs, Values
-from .tables import Tables, tables_of
+from .tables import Tables
 
 _DIFFERENT = (
     "The sensor's h is of {} states, but the state has {}: h has a column, or a name, for each state."
@@ -250,7 +250,7 @@ class GaussianMeasurement(Adjustable):
         from .symbolic import Vocabulary, symbolic_rows  # imports sympy, which takes a second
 
         values, self = Values.of(parameters, inputs), cls.__new__(cls)
-        words = Vocabulary([*values.parameters], [*values.inputs], tables_of(tables))
+        words = Vocabulary.of(values, tables)
         names = words.with_states(states)
         self._begin(GaussianMeasurement.from_expressions, recipe | {"angles": tuple(_listed(angles))}, values)
         self._n = len(states)

@@ -19,7 +19,7 @@ from .domain import DomainLike
 from .dynamics import Dynamics, Functions, compiled
 from .named import Inputs, Values
 from .noise import Noise, constant_root, noise_parts, reads_time
-from .tables import Tables, tables_of
+from .tables import Tables
 from .timing import roots
 
 Interpretation: TypeAlias = Literal["ito", "stratonovich"]
@@ -215,7 +215,7 @@ class SDE(Dynamics):
 
         validate.choice("interpretation", interpretation, ("ito", "stratonovich"))
         values = Values.of(parameters, inputs)
-        words = Vocabulary([*values.parameters], [*values.inputs], tables_of(tables))
+        words = Vocabulary.of(values, tables)
         parts = symbolic_model(states, drift, noise, diffusion, spectral_density, words, interpretation)
         self, made = cls.__new__(cls), (SDE.from_expressions, recipe)
         stops = np.concatenate([validate.array("events", events, (None,)), parts[-1].pop("breakpoints")])

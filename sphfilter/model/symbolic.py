@@ -19,9 +19,10 @@ from . import derived
 from .compile import Maker, batch_source, shared
 from .expressions import Names, parse
 from .kept import kept
+from .named import Values
 from .noise import constant_root
 from .symbols import Abs, Ge, Gt, Linear, Max, Min, Previous, Sign, source
-from .tables import Table
+from .tables import Table, Tables, tables_of
 
 #: Derivatives of a short text can be long; beyond this many operations compiling would take minutes.
 MAX_OPERATIONS = 20_000
@@ -33,6 +34,11 @@ class Vocabulary(NamedTuple):
     parameters: Sequence[str] = ()
     inputs: Sequence[str] = ()
     tables: Mapping[str, Table] = MappingProxyType({})
+
+    @classmethod
+    def of(cls, values: Values, tables: Tables | None) -> "Vocabulary":
+        """The names of values and of tables, as they were given."""
+        return cls([*values.parameters], [*values.inputs], tables_of(tables))
 
     def with_states(self, states: Sequence[str]) -> Names:
         """All names of a model or a sensor."""

@@ -8,7 +8,7 @@ from ..config import AnyConfig, CloudScheme
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, UnresolvedError
 from ..info import Code, PredictInfo, UpdateInfo
-from ..lattice.resolved import MOST
+from ..lattice.resolved import MOST, TIMES
 from ..model.dynamics import Dynamics
 from ..model.sde import SDE
 
@@ -44,7 +44,7 @@ class Rung(NamedTuple):
 class Ladder(NamedTuple):
     """Numbers of particles that a step is tried on again."""
 
-    times: tuple[int, ...] = (3, 9)  # the particles of the first try
+    times: tuple[int, ...] = TIMES[1:]  # the particles of the first try
     deeper: float = 0.0  # standard deviations that lattices reach further on each rung than on the one below
     most: float = MOST  # particles
 
@@ -131,7 +131,7 @@ def predict_from_finer(
     except (LatticeError, UnresolvedError) as problem:
         # else nothing smooths what is coarse
         noisy = not isinstance(model, SDE) or model.diffusion_rows.any()
-        if origin is None or origin.before is None or origin.before.field is None or not noisy:
+        if origin is None or origin.before is None or origin.before.form.cell is None or not noisy:
             raise
         rung, outcome = Ladder().climbed(
             n_particles, lambda rung: predicted(origin.repeated(config, rung.n_particles)), problem

@@ -8,12 +8,15 @@ from contextlib import suppress
 
 import numpy as np
 
+from .._types import Floats
 from ..config import CloudScheme, LogDensityScheme, PaperScheme
 from ..core.limits import SAID
-from ..density.cloud import KERNEL, matched
+from ..density.cloud import KERNEL
+from ..density.moments import matched
 from ..density.particle_density import ParticleDensity
-from ..density.quasi_random import systematic
-from ..density.resample import times_likelihood
+from ..density.quasi_random import FEW_STATES, systematic
+from ..density.resample import no_weight, times_likelihood
+from ..density.statistics import FEW_SUBPOINTS
 from ..errors import LatticeError, PropagationError, UnresolvedError
 from ..info import Code
 from ..model.sde import SDE
@@ -26,8 +29,7 @@ from .again import Ladder
 MOST_FINER = 30_000
 #: Plain sums over kernels, for domains whose ends other schemes do not know.
 SUMMED = PaperScheme(kernel="wendland_c2")
-#: States, and kernels of a cloud, from which a lattice is tried again.
-_MOST_STATES, _KERNELS = 4, 4096
+_MOST_STATES = 4  # of which a lattice is tried again
 _AGREES, _LEAST_ERROR, _RESIDUAL = 3.0, 0.005, 0.1  # for a lattice to stand for a cloud
 
 
@@ -46,8 +48,9 @@ def propagate(
     as of `log_density.propagate`. After `most_work` evaluations of the drift it is given up: whoever bounds
     them goes on with a cloud, which knows its error.
     """
-    if density.read_out == "cloud":
-        laid = _on_lattice(density, n_particles)
+    points = density.form.own_points
+    if points is not None:
+        laid = _on_lattice(density, points, n_particles)
         if laid is None:
             return cloud.propagate(density, model, t1, CloudScheme(), n_particles)
         density = laid
@@ -70,12 +73,14 @@ def propagate(
     return moved, info.marked(Code.FALLBACK, f"{info.status}; not log_density: {reason}")
 
 
-def _on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity | None:
-    """A cloud on a lattice that has its mean and covariance and its density, or None where none has."""
+def _on_lattice(
+    density: ParticleDensity, points: tuple[Floats, Floats], n_particles: int
+) -> ParticleDensity | None:
+    """A cloud of points on a lattice that has its mean, covariance and density, or None where none has."""
     if density.dim > _MOST_STATES or abs(density.lost) > SAID:
         return None
     mean, cov = density.mean(), density.cov()
-    x, mass = density.x[systematic(density.mass, _KERNELS)], np.full(_KERNELS, 1.0 / _KERNELS)
+    x, mass = points[0][systematic(points[1], FEW_STATES)], np.full(FEW_STATES, 1.0 / FEW_STATES)
     try:
         root = np.linalg.inv(np.linalg.cholesky(cov))
         x = matched(x, mass, mean, cov) if density.domain is None else x
@@ -84,19 +89,19 @@ def _on_lattice(density: ParticleDensity, n_particles: int) -> ParticleDensity |
     few = ParticleDensity(
         x=x,
         mass=mass,
-        h=density.h[:1].repeat(_KERNELS),
+        h=density.h[:1].repeat(FEW_STATES),
         kernel=KERNEL,
         read_out="cloud",
         t=density.t,
         domain=density.domain,
     )
     try:
-        laid, *_ = times_likelihood(few, lambda X: np.zeros(len(X)), n_particles, "auto")
+        laid, *_ = times_likelihood(few, no_weight, n_particles, "auto")
     except PropagationError:
         return None
     off = np.sqrt(np.mean((root @ (laid.mean() - mean)) ** 2))
     wider = np.abs(root @ laid.cov() @ root.T - np.eye(density.dim)).max()
-    X, _ = few.form.states(16, True)
+    X, _ = few.form.states(FEW_SUBPOINTS, True)
     residual = np.mean(np.abs(np.expm1(np.clip(laid.logpdf(X) - few.logpdf(X), -1.0, 1.0))))
     if max(off, 0.5 * wider) > _AGREES * max(density.error, _LEAST_ERROR) or residual > _RESIDUAL:
         return None

@@ -25,7 +25,8 @@ from ..model.compile import shared, surfacing
 from ..model.derived import zeros
 from ..model.sde import SDE
 from ..model.timing import beside
-from .log_density import noise_between, paths
+from .log_density import noise_between
+from .noise_rules import paths
 
 _FLAT = -1e-9  # largest second derivative of what goes on beyond a lattice, in its units
 _TOLERANCE = 1e-5  # of the paths' ends, in standard deviations of the density

@@ -12,8 +12,8 @@ from .._types import Floats, Ints
 from ..core.cloud.ahead import LEAST, expected, fitted, led
 from ..core.cloud.blocks import block_roots, blocks_of, centres
 from ..core.cloud.pace import Steps
+from ..density.moments import columns
 from ..density.passage import Transitions, along, stored_key
-from ..density.points import columns
 from ..density.quasi_random import even, systematic
 from ..model.dynamics import Dynamics
 

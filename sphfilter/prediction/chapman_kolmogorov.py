@@ -22,13 +22,14 @@ from ..core.field.walls import NO_WALLS
 from ..core.limits import LOG_2_PI, NOTHING, ROUNDING
 from ..density.particle_density import ParticleDensity
 from ..density.quasi_random import net
-from ..density.resample import on_lattice, times_likelihood
+from ..density.resample import no_weight, on_lattice, times_likelihood
 from ..errors import PropagationError
 from ..info import DOUBTFUL, PredictInfo
 from ..lattice.check import misfit
 from ..lattice.field import log_p_at, nodes
-from ..lattice.level_set import lattice_reach, root_of
+from ..lattice.level_set import lattice_depth, root_of
 from ..lattice.posterior import posterior
+from ..lattice.resolved import TIMES
 from ..model.discrete import DiscreteModel
 from ..model.paths import noise_root
 from ._shared import Predicted, kept
@@ -83,13 +84,13 @@ def _stepped(
     many, asked = max(_enough(waves, density), n_particles if finer else 0), 1
     if many > density.n_particles:
         known = {"error": density.error, "lost": density.lost}
-        density = times_likelihood(density, _even, many, _SCHEME)[0].noted(**known)
+        density = times_likelihood(density, no_weight, many, _SCHEME)[0].noted(**known)
         (mean, L, waves), asked = _spread(density, model, t), 2
     grain = _grain(waves, density.mass)
-    depth = 0.5 * lattice_reach(_SCHEME, model.dim) ** 2
+    depth = lattice_depth(_SCHEME, model.dim)
     log_p = _log_sum(np.log(density.mass), mean, L)
-    about = mean + np.einsum("kab,kb->ka", L, net(len(mean), model.dim)), density.mass, log_p, _even
-    for times in (1, 3, 9):  # as a `Ladder` goes
+    about = mean + np.einsum("kab,kb->ka", L, net(len(mean), model.dim)), density.mass, log_p, no_weight
+    for times in TIMES:
         laid = posterior(*about, times * n_particles, depth, None, NO_WALLS)
         off = misfit(laid, log_p)
         if off.residual <= DOUBTFUL:
@@ -115,10 +116,6 @@ def _log_sum(log_w: Floats, mean: Floats, L: Floats) -> OfStates:
         return out
 
     return log_p
-
-
-def _even(X: Floats) -> Floats:
-    return np.zeros(len(X))
 
 
 def integrated_back(model: DiscreteModel, found: Field, prior: ParticleDensity) -> OfStates:

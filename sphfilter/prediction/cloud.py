@@ -22,9 +22,9 @@ from ..core.cloud.weights import AWAY, any_beyond, compared, near_others
 from ..core.limits import LOOK, SAID
 from ..density.as_cloud import cloud_of
 from ..density.as_family import moments_on_line
-from ..density.cloud import points_of
 from ..density.defect import read_out
 from ..density.left_out import LeftOut
+from ..density.moments import columns, moments
 from ..density.particle_density import ParticleDensity
 from ..density.passage import (
     Transitions,
@@ -36,7 +36,7 @@ from ..density.passage import (
     points_of_sample,
     stored_key,
 )
-from ..density.points import CloudState, Origin, Pace, Points, columns, moments
+from ..density.points import CloudState, Origin, Pace, Points
 from ..density.quasi_random import even
 from ..errors import PropagationError, StoppedError
 from ..info import DOUBTFUL, Code, PredictInfo
@@ -104,8 +104,8 @@ def carried_cloud(
     model: Dynamics,
     span: tuple[float, float],
     scheme: CloudScheme,
-    target: float = 0.0,
-    domain: Domain | None = None,
+    target: float,
+    domain: Domain | None,
 ) -> Carried:
     """Carry a cloud and its shadow over a span of time: what `propagate` does with densities."""
     (t0, t1), count = span, scheme.n_points
@@ -140,23 +140,21 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
     """A density as points and a smaller cloud of points; those that it has, if it is a cloud."""
     if density.cloud is not None:
         return density.cloud
-    age = age_of(density)
-    if density.read_out == "cloud":
-        many = min(shadow_size(count), density.n_particles)
-        few = np.linspace(0.0, density.n_particles - 1, many).astype(int)
-        shadow = density.mass[few] / density.mass[few].sum()
-        points = Points(density.x, density.mass)
-        return CloudState(points, Points(density.x[few], shadow), density.n_particles, age=age)
+    age, own = age_of(density), density.form.own_points
+    if own is not None:
+        x, w = own
+        few = np.linspace(0.0, len(w) - 1, min(shadow_size(count), len(w))).astype(int)
+        shadow = Points(x[few], w[few] / w[few].sum())
+        return CloudState(Points(x, w), shadow, len(w), age=age)
     clouds = [(n, stored_key(age, k)) for k, n in enumerate((count, shadow_size(count)))]
-    if density.family is not None and density.family.degree == 2:
+    if density.form.degree == 2:
         mean, cov = moments_on_line(density)
         points, shadow = (points_of_gaussian(mean, cov, n, key, k) for k, (n, key) in enumerate(clouds))
     else:
-        points, shadow = (points_of_sample(Points(*points_of(density, n, key)), n, key) for n, key in clouds)
-    origin = None
-    if density.family is not None and density.defect is not None:
-        unsigned = read_out(density.family, density.defect).unsigned
-        origin = Origin(density.family, density.defect, unsigned)
+        points, shadow = (points_of_sample(Points(*density.form.drawn(n, key)), n, key) for n, key in clouds)
+    origin, family, defect = None, density.family, density.defect
+    if family is not None and defect is not None:
+        origin = Origin(family, defect, read_out(family, defect).unsigned)
     return CloudState(points, shadow, count, inherited=density.error, age=age, origin=origin)
 
 

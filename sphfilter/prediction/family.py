@@ -15,7 +15,7 @@ from ..core.family.rates import DEFECT, RATES, Flow
 from ..core.family.rules import degrees
 from ..density.as_family import defect_in, family_density, family_of
 from ..density.defect import OF_UNSIGNED, Defect, read_out
-from ..density.family import ASTRAY, Family, turned
+from ..density.family import ASTRAY, HIGHEST, Family, turned
 from ..density.particle_density import ParticleDensity
 from ..errors import ConfigError, PropagationError, StoppedError
 from ..info import DOUBTFUL, Code, PredictInfo, may_be_off
@@ -24,7 +24,6 @@ from ..model.sde import SDE
 from ._shared import Predicted, blow_up, skip_notes
 from .time_slices import drift_slices, noise_samples
 
-HIGHEST = 6  # degree that is taken unless another is asked for
 _OF_STEPS = 0.3  # part of the errors of the steps, that errors are estimated by
 _LOST = 1.0  # standard deviations that the mean may be off by
 _NOT_FOLLOWED = (

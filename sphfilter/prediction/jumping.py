@@ -24,8 +24,9 @@ from ..core.cloud.noise import LANES
 from ..core.limits import GOLDEN, TINY
 from ..density.as_cloud import cloud_of
 from ..density.modes import ModeDensities
+from ..density.moments import columns, moments
 from ..density.passage import Use, along, change_of, leg_of, stored_key
-from ..density.points import CloudState, Points, columns, moments
+from ..density.points import CloudState, Points
 from ..errors import PropagationError
 from ..info import PredictInfo
 from ..model.compile import surfacing

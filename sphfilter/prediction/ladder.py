@@ -15,19 +15,20 @@ from ..core.cloud.control import MOST_POINTS
 from ..core.family.rules import degrees
 from ..core.limits import LITTLE
 from ..density.as_family import as_polynomials, family_density, moments_on_line
-from ..density.family import ON_LATTICE, gaussian_family
-from ..density.memory import Memory, doubtful_from, error_budget, min_nodes, tolerated_excess, usual_points
+from ..density.family import HIGHEST, ON_LATTICE, gaussian_family
+from ..density.memory import Memory, doubtful_from, error_budget, tolerated_excess, usual_points
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError, UnresolvedError
 from ..info import Code, PredictInfo
+from ..lattice.level_set import min_nodes
 from ..model.discrete import DiscreteModel
 from ..model.discretization import linear_transition
 from ..model.dynamics import Dynamics
 from ..model.sde import SDE
 from . import automatic, chapman_kolmogorov, cloud, family, pieces
 from ._shared import Predicted
-from .again import MOST_WORK
+from .again import MOST_WORK, Ladder
 from .escape import escaped
 from .to_target import Time, carried_to_target
 
@@ -44,7 +45,6 @@ _AS_LATTICES = {1: 2**11, 2: 2**13}
 #: .6 µs of a point, or 5 to 15 times as long, for what it knows of tails. With five times as many three of
 #: eleven scenes took 1.5 to 2.5 times as long; with half a tail was lost, unsaid (`experiments benchmark`).
 _WORK = 200.0
-_FINER = 3  # times the nodes of a first lattice that loses probability
 
 
 def first_degree(dim: int, needs: Memory) -> int:
@@ -75,7 +75,7 @@ def best_family(
     and the error over what is allowed.
     """
     best, most = None, tolerated_excess(dim) * allowed
-    for degree in (d for d in degrees(dim) if 0 < first <= d <= family.HIGHEST):
+    for degree in (d for d in degrees(dim) if 0 < first <= d <= HIGHEST):
         try:
             found, added = attempt(degree, most)
         except PropagationError:
@@ -107,7 +107,7 @@ def propagate(density: ParticleDensity, model: Dynamics, t1: float, target: floa
     if by_cloud and becomes_cloud(density.dim, needs, target):
         return _by_cloud(density, model, t1, target, needs)
     if needs.waits > 0:
-        needs = needs.waited()
+        needs = needs._replace(waits=needs.waits - 1)
     elif not family.why_not(model, density):
         found = _by_family(density, model, t1, target, needs)
         if found is not None:
@@ -210,10 +210,10 @@ def _by_lattice(
         try:
             moved, info, nodes = tried(nodes)
         except UnresolvedError:  # a first lattice knows nothing of the density, and may be too coarse
-            moved, info, nodes = tried(_FINER * nodes)
+            moved, info, nodes = tried(Ladder().times[0] * nodes)
     except PropagationError:
         return _by_cloud(density, model, t1, target, needs)
-    if moved.field is not None:
+    if moved.form.cell is not None:
         nodes = max(moved.n_particles, min_nodes(density.dim))
     return moved.noted(needs=needs._replace(nodes=nodes), capacity=nodes), as_asked(info, target)
 

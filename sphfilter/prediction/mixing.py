@@ -25,22 +25,20 @@ from ..density.as_family import (
     moments_on_line,
     pieces_density,
 )
-from ..density.cloud import points_of
 from ..density.defect import Defect, defect_of
-from ..density.family import OF_MISFIT, fitted, moments_apart, node_moments
-from ..density.memory import Memory, min_nodes
+from ..density.family import HIGHEST, OF_MISFIT, fitted, moments_apart, node_moments
+from ..density.memory import Memory
 from ..density.merging import OF_CHANGE, merged
+from ..density.moments import moments_of_sum
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Use, age_of, stored_key
 from ..density.pieces import Pieces, light
-from ..density.points import moments_of_sum
 from ..density.resample import folded_logarithm
 from ..errors import PropagationError
 from ..lattice.check import misfit, remote
 from ..lattice.field import inside_lattice
-from ..lattice.level_set import lattice_reach, lay, root_of
+from ..lattice.level_set import lattice_depth, lay, min_nodes, root_of
 from ..lattice.resolved import MOST
-from . import family
 from .ladder import first_degree, prefers_cloud
 
 _AWAY = 3.0  # standard deviations at which what is lost may lie: 2 Φ(-3) = .003 of a Gaussian lies beyond
@@ -177,7 +175,7 @@ def _as_family(parts: Sequence[Part], about: ParticleDensity, allowed: float) ->
         return None
     mean, cov = _moments(parts)
     log_p, first = _log_sum(parts), first_degree(about.dim, about.needs)
-    for degree in (d for d in degrees(about.dim) if 0 < first <= d <= family.HIGHEST):
+    for degree in (d for d in degrees(about.dim) if 0 < first <= d <= HIGHEST):
         found, off = fitted(log_p, mean, cov, degree)
         b, C = node_moments(found.basis.xi, found.weighted()[0])
         added = max(OF_MISFIT * off, moments_apart(b, C - np.eye(len(mean))))
@@ -230,7 +228,7 @@ def _on_lattice(parts: Sequence[Part], about: ParticleDensity, allowed: float) -
         nodes = max(part.density.capacity or part.density.n_particles for part in parts)
     else:
         nodes = about.needs.nodes or min_nodes(n)
-    depth = 0.5 * lattice_reach(None, n) ** 2
+    depth = lattice_depth(None, n)
     best: Any = math.inf, None
     for _ in range(_TRIES):
         laid = lay(log_p, mean, root_of(cov), seeds, nodes, depth, walls=about.walls)
@@ -276,10 +274,8 @@ def _as_cloud(parts: Sequence[Part], about: ParticleDensity, target: float) -> P
     x, mass = [], []
     for k, part in enumerate(parts):
         density, w = part.density, math.exp(part.log_w)
-        points, weights = density.x, density.mass
-        if density.read_out != "cloud":
-            many = max(math.ceil(w * count), 1000)
-            points, weights = points_of(density, many, stored_key(age_of(about), Use.PARTS + k))
+        many, key = max(math.ceil(w * count), 1000), stored_key(age_of(about), Use.PARTS + k)
+        points, weights = density.form.own_points or density.form.drawn(many, key)
         x.append(points)
         mass.append(w * weights)
     return cloud_density(about, np.concatenate(x), np.concatenate(mass)).noted(needs=about.needs)

@@ -12,7 +12,7 @@ from ..density.merging import OF_CHANGE, merged
 from ..density.particle_density import ParticleDensity
 from ..density.pieces import Pieces, pieces_of
 from ..info import PredictInfo
-from ..lattice.level_set import lattice_reach, lay, root_of
+from ..lattice.level_set import lattice_depth, lay, root_of
 from ..model.discretization import linear_transition
 from ..model.dynamics import Dynamics
 from ._shared import Predicted
@@ -49,7 +49,7 @@ def propagate_exactly(
     density: ParticleDensity, model: Dynamics, t1: float, n_particles: int
 ) -> Predicted | None:
     """Return (density, info) at t1 by the matrix exponential, or None where the density is not Gaussian."""
-    if density.field is None:
+    if density.form.cell is None:
         return None
     found = _quadratic(density)
     if found is None:
@@ -57,7 +57,7 @@ def propagate_exactly(
     mean, cov = found
     transition, offset, Q = linear_transition(model, t1 - density.t)
     mean, cov = transition @ mean + offset, transition @ cov @ transition.T + Q
-    depth = 0.5 * lattice_reach(None, density.dim) ** 2
+    depth = lattice_depth(None, density.dim)
     factor: Any = np.linalg.cholesky(cov)
     laid = lay(gaussian_log_pdf(mean, cov), mean, factor, mean[None], n_particles, depth)
     info = PredictInfo(scheme="exact_linear", skipped=("everything: a Gaussian through a linear model",))

@@ -6,7 +6,7 @@ from typing import Any, Literal, NamedTuple
 
 from .._types import Interval
 from ..config import AnyConfig, CloudScheme, FamilyScheme, LogDensityScheme, PaperScheme, SolverConfig
-from ..density.cloud import passages_of
+from ..density.as_cloud import passages_of
 from ..density.memory import Memory
 from ..density.particle_density import ParticleDensity
 from ..density.resample import max_particles_of, on_lattice, target_of

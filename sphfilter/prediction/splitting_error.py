@@ -8,19 +8,15 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from .._types import Floats
-from ..core.limits import LOOK, ROUNDS
+from ..core.limits import LOOK
 from ..density.as_family import moments_on_line
 from ..density.modes import ModeDensities, SplittingError, no_ripple
-from ..density.particle_density import ParticleDensity
-from ..density.pieces import ENTRIES, NEAR, Pieces
-from ..density.points import moments_of_sum
+from ..density.pieces import ENTRIES, Pieces
 from ..density.quasi_random import net
 from ..lattice.level_set import root_of
 from ..model.discretization import exponential
 from ..model.jump_markov import JumpMarkovModel
 from ..model.sde import SDE
-
-_AWAY = 3  # times for which states are away, by Gauss's rule: exact to degree 2 · 3 - 1 = 5
 
 
 def jumps_of(model: JumpMarkovModel, dt: float) -> float:
@@ -100,7 +96,7 @@ def splitting_error(
     """
     leaving = -np.diag(model.rates)
     share, gauss, simpson = _rules(steps, jumps_of(model, dt))
-    starts = {j: _narrow(p) for j, _, p in modes.some}
+    starts = {j: p.form.heaviest or moments_on_line(p) for j, _, p in modes.some}
     flows = {
         (i, j): _Flows.about(cast(SDE, model.modes[model.names[i]]), mean, modes.heaviest.t, dt * share)
         for j, (mean, _) in starts.items()
@@ -152,9 +148,10 @@ def _excursions(
     there_and_back = model.rates[i] * model.rates[:, i] * (np.arange(len(modes.w)) != i)
     if density is None or modes.w[i] == 0.0 or not there_and_back.any():
         return
-    nodes, weights = np.polynomial.legendre.leggauss(_AWAY)
+    nodes, weights = np.polynomial.legendre.leggauss(3)  # of the times away: exact to degree five
     away = 0.5 * (1.0 + np.append(-1.0, nodes))
-    start, t, away_for = _narrow(density), modes.heaviest.t, parts.max() * away
+    start = density.form.heaviest or moments_on_line(density)
+    t, away_for = modes.heaviest.t, parts.max() * away
     around = _Flows.about(cast(SDE, model.modes[model.names[i]]), start[0], t, 0.5 * (dt - away_for[::-1]))
     around = around.backwards()
     for k in np.flatnonzero(there_and_back).tolist():
@@ -164,22 +161,6 @@ def _excursions(
         share[0] = -share.sum()
         mass = modes.w[i] * there_and_back[k] * float(parts @ parts)
         yield *around.of(*other.of(*around.of(*start))), mass * share
-
-
-def _narrow(density: ParticleDensity) -> tuple[Floats, Floats]:
-    """Mean (n,) and covariance (n, n) of a density, or of its heaviest part with all that lies about it."""
-    if density.pieces is None:
-        return moments_on_line(density)
-    w, middle, own = density.pieces.w, density.pieces.mean, density.pieces.cov
-    mean, cov, found = middle[0], own[0], np.zeros(len(w), bool)
-    for _ in range(ROUNDS):
-        z = np.linalg.solve(np.linalg.cholesky(cov), (middle - mean).T)
-        near = np.sum(z**2, axis=0) < NEAR**2
-        if np.array_equal(near, found):
-            break
-        found = near
-        mean, cov = moments_of_sum(w[near] / w[near].sum(), middle[near], own[near])
-    return mean, cov
 
 
 def _absolute(mean: Floats, cov: Floats, w: Floats) -> SplittingError:

@@ -6,23 +6,20 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from ..core.step_control import HELPED, MORE, TRIES
-from ..density.memory import AIMED, error_budget, min_nodes
+from ..density.memory import AIMED, error_budget
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError, StoppedError
 from ..info import Code, PredictInfo
+from ..lattice.level_set import min_nodes
 from ..lattice.resolved import MOST
 from ._shared import Predicted
-
-
-def _always(n_particles: int) -> bool:
-    return True
 
 
 class Time(NamedTuple):
     """Numbers of particles that a time budget leaves for the first try, and for one more on a number."""
 
     most: int = MOST
-    fits: Callable[[int], bool] = _always
+    fits: Callable[[int], bool] = lambda n_particles: True
 
     def for_lattices(self, density: ParticleDensity, target: float) -> float:
         """Error by which the lattices of a prediction choose their nodes; zero where time chooses them."""

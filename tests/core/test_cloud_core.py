@@ -13,8 +13,9 @@ from sphfilter.core.cloud.move import move
 from sphfilter.core.cloud.noise import ADDITIVE, LANES, even_normals, fill_noise, rotation
 from sphfilter.core.cloud.pace import moved_twice
 from sphfilter.core.cloud.weights import compared, systematic
+from sphfilter.density.moments import columns
 from sphfilter.density.passage import leg_of, points_of_sample
-from sphfilter.density.points import Points, columns
+from sphfilter.density.points import Points
 from sphfilter.density.quasi_random import net
 
 WELLS = sf.SDE.from_expressions(["x", "v"], ["v", "-0.4*v - x*(-1 + 0.1*x**2)"], [["0"], ["1"]], [[1.6]])

@@ -15,7 +15,7 @@ from sphfilter.core.characteristics.expectation import EXPECTED, Step, back, bac
 from sphfilter.core.characteristics.noise_paths import ALONG, Begin, Noise, Pull, Span, along
 from sphfilter.core.field.fitting import build_field
 from sphfilter.core.field.stencils import stencils
-from sphfilter.prediction.log_density import paths
+from sphfilter.prediction.noise_rules import paths
 
 SWING = sf.SDE.from_expressions(
     ["x", "v"], ["v + 0.1*sin(x*v)", "-(1 + 0.5*sin(2*t))*x - 0.2*x**2 - 0.3*v"], [["0"], ["1"]], [[0.5]]

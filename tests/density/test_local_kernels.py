@@ -10,7 +10,7 @@ from scipy import stats
 import sphfilter as sf
 from sphfilter.density.cloud import smoothing_length
 from sphfilter.density.local_kernels import LocalKernels
-from sphfilter.density.points import moments
+from sphfilter.density.moments import moments
 
 CLOUD = sf.FilterConfig(scheme=sf.CloudScheme(n_points=3000))
 

@@ -6,8 +6,9 @@ import pytest
 import sphfilter as sf
 from sphfilter.density.as_cloud import cloud_density
 from sphfilter.density.as_family import gaussians_of, may_miss, pieces_density
-from sphfilter.density.cloud import points_of
+from sphfilter.density.moments import moments
 from sphfilter.density.pieces import Pieces
+from sphfilter.lattice.level_set import usual_nodes
 
 NORMAL = sf.Gaussian([0.5], [[0.4]])
 FAMILY = sf.initialize(NORMAL, "auto")
@@ -41,6 +42,23 @@ def test_a_formula_lies_on_as_many_nodes_as_are_asked_for(name):
         np.testing.assert_allclose([laid.mean[0], laid.cov[0, 0]], [0.5, 0.4], rtol=1e-3)
 
 
+@pytest.mark.parametrize("name", DENSITIES)
+def test_a_shape_answers_what_steps_would_ask_its_name_for(name):
+    form = DENSITIES[name].form
+    assert form.degree == (2 if "family" in name else 0)
+    assert [form.own_points is None, form.atoms is None] == [name != "cloud", name != "kernels"]
+    assert form.nodes(7) == (usual_nodes(1) if name in FORMULAS else 7)
+    assert (form.heaviest is None) == (name != "pieces")
+
+
+@pytest.mark.parametrize("name", [name for name in DENSITIES if "circle" not in name])
+def test_points_drawn_of_a_shape_have_its_mean_and_covariance(name):
+    density = DENSITIES[name]
+    x, w = density.form.drawn(200, 5)
+    np.testing.assert_allclose(moments(x, w)[0], density.mean(), rtol=1e-9)
+    np.testing.assert_allclose(moments(x, w)[1], density.cov(), rtol=1e-9)
+
+
 def test_a_family_round_a_circle_lays_its_lattice_when_it_is_asked_for_a_density():
     density = sf.initialize(NORMAL, "auto", domain=[("periodic", -np.pi, np.pi)])
     assert density.form.smooth and "laid" not in vars(density.form.bare)
@@ -66,6 +84,6 @@ def test_points_of_a_lattice_know_of_a_mode_that_holds_next_to_nothing(n, count)
     sensor = sf.LikelihoodMeasurement(log_likelihood, peaks=lambda z: far[None])
     start = sf.initialize(sf.Gaussian(np.zeros(n), np.eye(n)), 400)
     density, _ = sf.update(start, sensor, [0.0])
-    x, w = points_of(density, count, 3)
+    x, w = density.form.drawn(count, 3)
     assert w[x[:, 0] > 4.0].sum() == pytest.approx(part, rel=0.1)
     assert 1.0 / np.sum(w**2) > 0.85 * count

@@ -5,7 +5,6 @@ import pytest
 
 import sphfilter as sf
 from sphfilter.density.as_family import as_polynomials
-from sphfilter.density.cloud import points_of
 from sphfilter.density.max_entropy import max_entropy
 
 SCHEME = sf.FilterConfig(scheme=sf.FamilyScheme(degree=4))
@@ -20,7 +19,7 @@ def bent():
 
 
 def test_points_of_a_family_give_it_back(bent):
-    x, mass = points_of(bent, 20_000, 7)
+    x, mass = bent.form.drawn(20_000, 7)
     found, misfit = max_entropy(x, mass, 4)
     near = bent.sample(200, 3)
     np.testing.assert_allclose(found.log_p(near), bent.logpdf(near), atol=0.15)
@@ -29,7 +28,7 @@ def test_points_of_a_family_give_it_back(bent):
 
 
 def test_a_lower_degree_misses_more(bent):
-    x, mass = points_of(bent, 20_000, 7)
+    x, mass = bent.form.drawn(20_000, 7)
     misfits = [max_entropy(x, mass, degree)[1] for degree in (2, 3, 4)]
     assert misfits[0] > 2.0 * misfits[1] > 4.0 * misfits[2]
 

@@ -11,8 +11,9 @@ from sphfilter.core.cloud.guide import Ahead, look_ahead
 from sphfilter.core.cloud.lineages import LINES, carriers, of_variances, outermost
 from sphfilter.core.cloud.pace import Steps
 from sphfilter.core.cloud.weights import for_moments
+from sphfilter.density.moments import columns, moments
 from sphfilter.density.passage import moved_points, points_of_gaussian, stored_key
-from sphfilter.density.points import NO_LINES, Carried, columns, moments
+from sphfilter.density.points import NO_LINES, Carried
 from sphfilter.filter.bridged import bridged
 from sphfilter.filter.guided import piece_by_piece, weighed
 from sphfilter.filter.reading_at_prior import ReadingAtPrior

@@ -33,7 +33,7 @@ from experiments.scene.scenario import read_settings
 from sphfilter.campaign import store
 from sphfilter.density.family import Family, gaussian_family
 from sphfilter.density.memory import Memory
-from sphfilter.density.points import moments_of_sum
+from sphfilter.density.moments import moments_of_sum
 from sphfilter.density.storage import density_from, stored
 
 FOLDER = Path(__file__).parents[1] / "data" / "before_the_rooms"

@@ -8,8 +8,9 @@ import sphfilter as sf
 from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import draw_case
 from sphfilter.core.cloud.pace import Steps
+from sphfilter.density.moments import moments
 from sphfilter.density.passage import chosen_steps, moved_points, points_of_gaussian
-from sphfilter.density.points import Points, moments
+from sphfilter.density.points import Points
 from sphfilter.density.storage import from_bytes, to_bytes
 
 CLOUD = sf.FilterConfig(scheme="cloud")

@@ -11,7 +11,7 @@ from reference_filters._weights import ancestors, condition
 from reference_filters.kalman import KalmanFilter
 from reference_filters.particle import ParticleFilter
 from sphfilter import consistency
-from sphfilter.density.points import moments
+from sphfilter.density.moments import moments
 from sphfilter.errors import ModelError, PropagationError
 from sphfilter.model.likelihood import LikelihoodMeasurement
 from sphfilter.model.measurements import GaussianMeasurement
