@@ -111,6 +111,7 @@ def _errors_beyond_nodes(
     weight = asked.weight_on(density.domain)
     (_, cov), (own_mean, own_cov) = _moments(prior), _moments(posterior)
     root = np.linalg.inv(np.linalg.cholesky(own_cov))
+    elsewhere = 0.0  # by how much what no node sees widens a variance
     states = asked.explained(X[:: _LOOKED_AT // LOOK], _APART * np.linalg.cholesky(cov))
     share = math.exp(0.5 * (np.linalg.slogdet(own_cov)[1] - np.linalg.slogdet(cov)[1]))
     if states is None and not is_gaussian(asked.measurement) and share * _LOOKED_AT < _FEW:
@@ -120,17 +121,19 @@ def _errors_beyond_nodes(
         true = prior.log_p(states) + weight(states) - log_evidence
         below = posterior.log_p(own_mean[None]) - true
         far = (((states - own_mean) @ root.T) ** 2).sum(axis=1)  # a peak that far off widens a variance so
-        there = below < np.maximum(_NEGLIGIBLE, np.log(np.maximum(far, 1.0) / (1.0 - ALIKE)))
-        if np.any(there & (true - posterior.log_p(states) > _MORE)):
+        wider = np.exp(-below) * np.maximum(far, 1.0)
+        other = true - posterior.log_p(states) > _MORE
+        if np.any(other & ((below < _NEGLIGIBLE) | (wider > 1.0 - ALIKE))):
             raise PropagationError(
                 "one family does not hold the posterior: other states explain the reading too"
             )
+        elsewhere = float(np.max(wider[other], initial=0.0))
     likely, own = weight(X) - log_evidence, posterior.log_p(X) - prior.log_p(X)
     off = mass * (np.exp(np.minimum(likely, LARGEST_EXPONENT)) - np.exp(np.minimum(own, LARGEST_EXPONENT)))
     y = (X - own_mean) @ root.T
     with np.errstate(over="ignore", invalid="ignore"):  # of a family that is nowhere near
         apart = moments_apart(off @ y, (y * off[:, None]).T @ y - off.sum() * np.eye(len(cov)))
-    return min(apart, _LOST), min(abs(float(off.sum())), _LOST)
+    return min(math.hypot(apart, elsewhere), _LOST), min(abs(float(off.sum())), _LOST)
 
 
 def _moments(family: Family) -> tuple[Floats, Floats]:

@@ -35,6 +35,25 @@ def test_one_family_does_not_hold_the_other_side_of_a_distance():
         flt.update([0.36534])
 
 
+def test_what_other_states_widen_a_variance_by_is_told_of_a_family_and_asks_for_more():
+    """2e-4 of the posterior lie 28 of its standard deviations away, and are an eighth of its variance."""
+    x = np.linspace(-8.0, 9.0, 200_001)
+    p = np.exp(-0.5 * (x - 1.33) ** 2 / 0.96 - 0.5 * (11.25 - x**2) ** 2 / 2.0)
+    mean = np.average(x, weights=p)
+    variance = np.average((x - mean) ** 2, weights=p)
+    square = sf.GaussianMeasurement.from_expressions(["x"], ["x**2"], [[2.0]])
+    still = sf.LinearSDE([[0.0]], noise=[[0.0]])
+    flt = sf.SPHFilter(still, square, x0=[1.33], P0=[[0.96]])
+    info = flt.update([11.25])
+    assert info.scheme != "family" and not info.flagged
+    assert flt.P[0, 0] == pytest.approx(variance, rel=1e-3)
+    one = sf.SPHFilter(
+        still, square, [1.33], [[0.96]], config=sf.FilterConfig(scheme=sf.FamilyScheme(degree=6))
+    )
+    told, made = one.update([11.25]).variance_error, abs(one.P[0, 0] / variance - 1.0)
+    assert made > 0.1 and made / 3.0 < told < 3.0 * made
+
+
 @pytest.mark.parametrize("nodes", [50, 300])
 @pytest.mark.parametrize("share", [0.0001, 0.0003, 0.003])
 def test_a_piece_far_away_stays_on_a_lattice(share, nodes):
