@@ -178,7 +178,7 @@ def laid_by(log_p: OfStates, moments: Any, n_particles: int, middles: Floats) ->
 class Exponential(Shape):
     """One exponential family: density and moments by polynomials, all else on a lattice laid.
 
-    In a domain all is asked of the lattice.
+    A Gaussian has samples and marginals in closed form. In a domain all else is asked of the lattice.
     """
 
     family: Family
@@ -189,6 +189,11 @@ class Exponential(Shape):
         """The family's density on a lattice."""
         laid = self.on_lattice(_NODES[min(len(self.family.mu), 4)])
         return Polynomials(laid.field, laid.x, laid.mass, self.moments)
+
+    @property
+    def _bent(self) -> bool:
+        """Whether there are terms above the second degree: a Gaussian has none."""
+        return bool(self.family.c[size(len(self.moments[0]), 2) :].any())
 
     @property
     def x(self) -> Floats:
@@ -226,14 +231,20 @@ class Exponential(Shape):
         return weighted_points(self.logpdf, self.moments, STATES, 0)
 
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
-        return self.laid.sample(size, rng)
+        if self._bent:
+            return self.laid.sample(size, rng)
+        mean, cov = self.moments
+        return mean + rng.standard_normal((size, len(mean))) @ np.linalg.cholesky(cov).T
 
     def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
         return self.laid.drawn(count, key)
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
-        """Particles of the density of some axes, by name: on a lattice of their own."""
-        return self.laid.marginal(axes)
+        """Particles of the density of some axes, by name: a Gaussian, or on a lattice of its own."""
+        if self._bent:
+            return self.laid.marginal(axes)
+        mean, cov = self.moments
+        return particles_of(gaussian_family(mean[axes], cov[np.ix_(axes, axes)], 2))
 
     def ends(self) -> tuple[Floats, Floats, Floats]:
         return self.laid.ends()

@@ -428,7 +428,7 @@ class ParticleDensity(Noted):
         domain = None if self.domain is None else Domain(*[self.domain.axes[axis] for axis in axes])
         about: dict[str, Any] = {"t": self.t, "domain": domain, "error": self.error}
         given = self.form.marginal(axes)
-        if "field" in given:
+        if "moments" in given:  # of a lattice or of a family
             return ParticleDensity(**given, **about, gaussian=self.gaussian)
         about |= {"kernel": self.kernel, "represented_mass": self.represented_mass}
         return ParticleDensity(**given, **about)

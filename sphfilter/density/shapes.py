@@ -338,6 +338,11 @@ class Folded(Shape):
     def _seen(self) -> Kernels | Polynomials:
         return self.shape.around(self.domain)
 
+    @property
+    def _cut(self) -> Any:
+        """The shape as it ends at walls, where there are some."""
+        return self._seen if self.domain.walled.any() else self.shape
+
     def pdf(self, X: Floats) -> Floats:
         """Density, shape (M,); zero beyond the ends."""
         turns = self._seen.turns(self.domain, X)
@@ -382,14 +387,15 @@ class Folded(Shape):
         return self.shape.expected(function, X, w)
 
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
-        return self.domain.fold(self._seen.sample(size, rng))
+        return self.domain.fold(self._cut.sample(size, rng))
 
     def drawn(self, count: int, key: int) -> tuple[Floats, Floats]:
         x, w = self._seen.drawn(count, key)
         return self.domain.fold(x), w
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
-        return self._seen.marginal(axes)
+        """Particles of the density of some axes, by name."""
+        return self._cut.marginal(axes)
 
     def ends(self) -> tuple[Floats, Floats, Floats]:
         low, high, width = self._seen.ends()

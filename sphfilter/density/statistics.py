@@ -171,7 +171,11 @@ def _distribution(one: "ParticleDensity") -> tuple[Floats, Floats]:
     low, high = float(lows.min()), float(highs.max())
     count = int(min(_FINE * (high - low) / float(np.median(width)), CELL_POINTS))
     y = np.linspace(low, high, max(count, _FINE) + 1)
-    F = integrate.cumulative_simpson(one.pdf(y[:, None]), x=y, initial=0.0)
+    p = one.pdf(y[:, None])
+    if not (np.diff(y).min() > 0.0 and p.any()):  # its parts are narrower than these places are apart
+        order = np.argsort(one.x[:, 0])
+        return one.x[order, 0], np.cumsum(one.mass[order])
+    F = integrate.cumulative_simpson(p, x=y, initial=0.0)
     F = np.maximum.accumulate(F)  # parabolas through nothing but zeros and a first value undershoot
     return y, one.form.distribution(y, F / F[-1])
 
