@@ -86,9 +86,9 @@ class Evidence:
                 f"parameters of an SPHFilter are fitted, or of what a function makes of them; got "
                 f"{validate.short(filt)}: give a function of them by name that returns a new filter"
             )
-        self.times, self.names, self.inputs = np.array(times, dtype=float), names, deepcopy(inputs)
+        self.times, self.names, self.inputs = validate.array("times", times, (None,)), names, deepcopy(inputs)
         self.measurements = deepcopy(rows_of(getattr(filt, "measurement", None), measurements))
-        if np.shape(self.times) != (len(self.measurements),):
+        if len(self.times) != len(self.measurements):
             raise ModelError(
                 f"as many measurements as times are needed; got times of shape {np.shape(self.times)} and "
                 f"{len(self.measurements)} measurements"
