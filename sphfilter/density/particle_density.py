@@ -309,8 +309,11 @@ class ParticleDensity(Noted):
         >>> print(f"{density.probability(lambda X: X[:, 0] > 3.0):.5f}")  # 0.00135
         0.00135
         """
-        read = self._between(kind)
-        return statistics.expectation(read, lambda X: np.asarray(region(X), dtype=float), smooth=False)
+
+        def values(X: Floats) -> Floats:
+            return array("what the region returns", region(X), (len(X),), "a boolean for each row of X")
+
+        return statistics.expectation(self._between(kind), values, smooth=False)
 
     @overload
     def quantile(self, axis: int, probability: float, kind: ReadOut | None = None) -> float: ...

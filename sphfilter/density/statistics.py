@@ -156,11 +156,11 @@ def mode(density: "ParticleDensity") -> Floats:
 
 
 def checked_axes(axes: Sequence[int], dim: int) -> list[int]:
-    """Return axes as a list of different numbers below `dim`, or raise `ModelError`."""
-    axes = list(axes)
-    if not axes or len(set(axes)) < len(axes) or not set(axes) <= set(range(dim)):
-        raise ModelError(f"axes must be different numbers from 0 to {dim - 1}, got {axes}")
-    return axes
+    """Return axes, or one, as a list of different numbers below `dim`, or raise `ModelError`."""
+    own: list[int] = np.atleast_1d(np.asarray(axes, dtype=object)).ravel().tolist()
+    if not own or len(set(own)) < len(own) or not set(own) <= set(range(dim)):
+        raise ModelError(f"axes must be different numbers from 0 to {dim - 1}, got {own}")
+    return own
 
 
 def _distribution(one: "ParticleDensity") -> tuple[Floats, Floats]:

@@ -43,9 +43,12 @@ def checked_guess(
     guess: Mapping[str, float], bounds: Mapping[str, Bound] | None
 ) -> tuple[list[str], Floats, Floats, Floats]:
     """Names, guess, lowest and highest values (n,)."""
-    names = [str(name) for name in dict(guess)]
-    if not names:
-        raise ModelError("guess is empty; give the parameters to fit with a first value, such as {'c': 0.3}")
+    if not isinstance(guess, Mapping) or not guess:
+        what = validate.short(guess) if guess else "empty"
+        raise ModelError(
+            f"guess is {what}; give the parameters to fit with a first value, as in {{'c': 0.3}}"
+        )
+    names = [str(name) for name in guess]
     theta = np.array([validate.real(f"guess of {name}", value) for name, value in dict(guess).items()])
     low, high = np.full(len(names), -np.inf), np.full(len(names), np.inf)
     for name, pair in dict(bounds or {}).items():

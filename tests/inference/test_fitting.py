@@ -194,6 +194,8 @@ def test_wrong_arguments_are_refused_with_a_sentence(z):
         sf.fit_parameters(flt, TIMES, z[:-1], {"k": 1.0})
     with pytest.raises(sf.ModelError, match="guess is empty"):
         sf.fit_parameters(flt, TIMES, z, {})
+    with pytest.raises(sf.ModelError, match=r"guess is \['k'\]; give the parameters"):
+        sf.fit_parameters(flt, TIMES, z, ["k"])
     with pytest.raises(sf.ModelError, match="bounds name 'x'"):
         sf.fit_parameters(flt, TIMES, z, {"k": 1.0}, bounds={"x": (0, 1)})
     with pytest.raises(sf.ModelError, match="not within its bounds"):

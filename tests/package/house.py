@@ -47,10 +47,10 @@ BOUNDS = {
     # clouds of modes tell and ask for 115, what lies far beyond a lattice 80, interrupts that Python
     # drops 25, variances that steps of clouds get wrong 95, modes and rates that clouds lost 85, quantiles of
     # clouds and what predictions leave of errors 45, what leaves a well 65, less what they replaced
-    "lines of sphfilter": 40_900,
+    "lines of sphfilter": 40_910,
     "lines of reference_filters": 5_016,
     "lines of experiments": 12_335,
-    "lines of tests": 29_830,  # and 1,545 that hold them to grids, closed forms, filterpy, and a wheel
+    "lines of tests": 29_840,  # and 1,545 that hold them to grids, closed forms, filterpy, and a wheel
     "  median length": 6,
     "  longer than 40 lines": 14,
     "  with more than 8 arguments": 10,
