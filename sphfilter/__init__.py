@@ -16,6 +16,10 @@ Beside the rooms: config and settings, info of steps, errors and validate. API.m
 line, RECIPES.md what to write for a problem, FAILURES.md what failures say, EXTENDING.md how to add to it.
 """
 
+from .command import interruption as _interruption  # noqa: F401  # first: it answers Ctrl-C in what follows
+
+# isort: split
+
 from . import consistency
 from ._version import __version__
 from .ahead import compile

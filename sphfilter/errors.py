@@ -123,5 +123,6 @@ def plain(name: Any) -> Any:
 
 def nearest(name: object, allowed: Iterable[object]) -> str:
     """Return " (did you mean 'x'?)" for the allowed name nearest to `name`, or an empty string."""
-    match = get_close_matches(str(name), [str(a) for a in allowed], n=1, cutoff=0.5)
-    return f" (did you mean {match[0]!r}?)" if match else ""
+    known = {str(a).lower(): str(a) for a in allowed}
+    match = get_close_matches(str(name).lower(), known, n=1, cutoff=0.5)
+    return f" (did you mean {known[match[0]]!r}?)" if match else ""

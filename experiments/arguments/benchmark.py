@@ -29,7 +29,7 @@ def add_arguments(add):
     add("--counts", counts, _counts, metavar="N,N")
     add("--runs", "simulated runs", counted, None, "5; 2 with --quick")
     add("--seed", "seed of everything random", int, 1)
-    add("--limit", "seconds a run may take; larger sizes are left out", float, None, "10")
+    add("--limit", "seconds a run may take, without compiling; larger sizes are left out", float, None, "10")
     paths = "particles in all of a reference above two states; more of them later add to those on disk"
     add("--reference-paths", paths, float, metavar="N")
     add("--out", "folder for results", Path, Path("results/benchmark"))

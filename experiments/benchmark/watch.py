@@ -1,9 +1,8 @@
 """A filter under observation: what its steps report, densities at chosen epochs, a limit of time."""
 
-from time import perf_counter
-
 import numpy as np
 
+from sphfilter.consistency.ranks import clock
 from sphfilter.errors import SphfilterError
 from sphfilter.filter.results import run_filter
 
@@ -18,12 +17,12 @@ class Watched:
     """Stands for a filter in `run_filter` and notes what its predictions and updates report.
 
     What take(filter) returns of its density is kept in `densities` at the `epochs` asked for; `limit` seconds
-    after its start the next prediction raises `TooSlow`.
+    after its start, without those in which numba compiled, the next prediction raises `TooSlow`.
     """
 
     def __init__(self, filt, epochs=(), limit=np.inf, take=snapshot):
         self._filt, self._epochs, self._limit, self._take = filt, frozenset(epochs), limit, take
-        self._start = perf_counter()
+        self._start = clock()
         self.predictions, self.updates, self.densities = [], [], {}
 
     x = property(lambda self: self._filt.x)
@@ -36,7 +35,7 @@ class Watched:
 
     def predict(self, *, t, **driving):
         """As the filter's own."""
-        if perf_counter() - self._start > self._limit:
+        if clock() - self._start > self._limit:
             raise TooSlow(f"stopped at t = {self.t:g} s, after {self._limit:g} s of computing")
         info = self._filt.predict(t=t, **driving)
         self.predictions.append(info)

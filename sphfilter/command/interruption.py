@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
@@ -88,3 +89,10 @@ def _called_from_c(frame: FrameType | None) -> bool:
             return True
         frame = frame.f_back
     return False
+
+
+# The library is imported by its own command, which takes seconds, and there is nothing to keep.
+_PROGRAM = sys.argv[0] if sys.argv else ""
+_OWN = Path(_PROGRAM).stem == "sphfilter" or (_PROGRAM == "-m" and "sphfilter" in sys.orig_argv)
+if _OWN and signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+    signal.signal(signal.SIGINT, _leave)

@@ -180,7 +180,7 @@ def laid_by(log_p: OfStates, moments: Any, n_particles: int, middles: Floats) ->
 class Exponential(Shape):
     """One exponential family: density and moments by polynomials, all else on a lattice laid.
 
-    In a domain all is asked of the lattice.
+    A Gaussian has samples and marginals in closed form. In a domain all else is asked of the lattice.
     """
 
     family: Family
@@ -195,6 +195,11 @@ class Exponential(Shape):
     @property
     def degree(self) -> int:
         return self.family.degree
+
+    @property
+    def _bent(self) -> bool:
+        """Whether there are terms above the second degree: a Gaussian has none."""
+        return bool(self.family.c[size(len(self.moments[0]), 2) :].any())
 
     @property
     def x(self) -> Floats:
@@ -236,7 +241,10 @@ class Exponential(Shape):
         return weighted_points(self.logpdf, self.moments, STATES, 0)
 
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
-        return self.laid.sample(size, rng)
+        if self._bent:
+            return self.laid.sample(size, rng)
+        mean, cov = self.moments
+        return mean + rng.standard_normal((size, len(mean))) @ np.linalg.cholesky(cov).T
 
     def scattered(self, count: int, key: int) -> tuple[Floats, Floats]:
         return weighted_points(self.logpdf, self.moments, count, key)
@@ -246,8 +254,11 @@ class Exponential(Shape):
         return matched(x, w, *self.moments), w
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
-        """Particles of the density of some axes, by name: on a lattice of their own."""
-        return self.laid.marginal(axes)
+        """Particles of the density of some axes, by name: a Gaussian, or on a lattice of its own."""
+        if self._bent:
+            return self.laid.marginal(axes)
+        mean, cov = self.moments
+        return particles_of(gaussian_family(mean[axes], cov[np.ix_(axes, axes)], 2))
 
     def ends(self) -> tuple[Floats, Floats, Floats]:
         return self.laid.ends()

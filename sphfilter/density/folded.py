@@ -54,6 +54,11 @@ class Folded(Shape):
     def _seen(self) -> Kernels | Polynomials:
         return self.shape.around(self.domain)
 
+    @property
+    def _cut(self) -> Any:
+        """The shape as it ends at walls, where there are some."""
+        return self._seen if self.domain.walled.any() else self.shape
+
     def pdf(self, X: Floats) -> Floats:
         """Density, shape (M,); zero beyond the ends."""
         turns = self._seen.turns(self.domain, X)
@@ -98,7 +103,7 @@ class Folded(Shape):
         return self.shape.expected(function, X, w)
 
     def sample(self, size: int, rng: np.random.Generator) -> Floats:
-        return self.domain.fold(self._seen.sample(size, rng))
+        return self.domain.fold(self._cut.sample(size, rng))
 
     def scattered(self, count: int, key: int) -> tuple[Floats, Floats]:
         """Points inside of the domain, and their weights: of a formula those that it draws on the line."""
@@ -108,7 +113,8 @@ class Folded(Shape):
     drawn = scattered  # nothing is stretched round a circle
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
-        return self._seen.marginal(axes)
+        """Particles of the density of some axes, by name."""
+        return self._cut.marginal(axes)
 
     def ends(self) -> tuple[Floats, Floats, Floats]:
         low, high, width = self._seen.ends()

@@ -310,8 +310,11 @@ class ParticleDensity(Noted):
         >>> print(f"{density.probability(lambda X: X[:, 0] > 3.0):.5f}")  # 0.00135
         0.00135
         """
-        read = self._between(kind)
-        return statistics.expectation(read, lambda X: np.asarray(region(X), dtype=float), smooth=False)
+
+        def values(X: Floats) -> Floats:
+            return array("what the region returns", region(X), (len(X),), "a boolean for each row of X")
+
+        return statistics.expectation(self._between(kind), values, smooth=False)
 
     @overload
     def quantile(self, axis: int, probability: float, kind: ReadOut | None = None) -> float: ...
@@ -429,7 +432,7 @@ class ParticleDensity(Noted):
         domain = None if self.domain is None else Domain(*[self.domain.axes[axis] for axis in axes])
         about: dict[str, Any] = {"t": self.t, "domain": domain, "error": self.error}
         given = self.form.marginal(axes)
-        if "field" in given:
+        if "moments" in given:  # of a lattice or of a family
             return ParticleDensity(**given, **about, gaussian=self.gaussian)
         about |= {"kernel": self.kernel, "represented_mass": self.represented_mass}
         return ParticleDensity(**given, **about)

@@ -155,11 +155,11 @@ def mode(density: "ParticleDensity") -> Floats:
 
 
 def checked_axes(axes: Sequence[int], dim: int) -> list[int]:
-    """Return axes as a list of different numbers below `dim`, or raise `ModelError`."""
-    axes = list(axes)
-    if not axes or len(set(axes)) < len(axes) or not set(axes) <= set(range(dim)):
-        raise ModelError(f"axes must be different numbers from 0 to {dim - 1}, got {axes}")
-    return axes
+    """Return axes, or one, as a list of different numbers below `dim`, or raise `ModelError`."""
+    own: list[int] = np.atleast_1d(np.asarray(axes, dtype=object)).ravel().tolist()
+    if not own or len(set(own)) < len(own) or not set(own) <= set(range(dim)):
+        raise ModelError(f"axes must be different numbers from 0 to {dim - 1}, got {own}")
+    return own
 
 
 def _distribution(one: "ParticleDensity") -> tuple[Floats, Floats]:
@@ -170,7 +170,11 @@ def _distribution(one: "ParticleDensity") -> tuple[Floats, Floats]:
     low, high = float(lows.min()), float(highs.max())
     count = int(min(_FINE * (high - low) / float(np.median(width)), CELL_POINTS))
     y = np.linspace(low, high, max(count, _FINE) + 1)
-    F = integrate.cumulative_simpson(one.pdf(y[:, None]), x=y, initial=0.0)
+    p = one.pdf(y[:, None])
+    if not (np.diff(y).min() > 0.0 and p.any()):  # its parts are narrower than these places are apart
+        order = np.argsort(one.x[:, 0])
+        return one.x[order, 0], np.cumsum(one.mass[order])
+    F = integrate.cumulative_simpson(p, x=y, initial=0.0)
     F = np.maximum.accumulate(F)  # parabolas through nothing but zeros and a first value undershoot
     return y, one.form.distribution(y, F / F[-1])
 

@@ -43,7 +43,10 @@ class ReadingAtPrior(NamedTuple):
         """The reading z of a measurement beside a density."""
         seen = measurement.observed(z)
         off = _innovation(density, measurement, z, seen) if seen.any() else (None, None, None)
-        return cls(measurement, z, seen, density.t, *off)
+        found = cls(measurement, z, seen, density.t, *off)
+        if off[0] is not None and np.isnan(off[0]).any():
+            found.log_weight(density.x)  # says where h has no value, before something is aimed at a NaN
+        return found
 
     def log_weight(self, X: Floats) -> Floats:
         """Log-likelihood of the states X (M, n), shape (M,)."""

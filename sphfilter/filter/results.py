@@ -197,17 +197,15 @@ def run_filter(
     Gaussian. An observer knows the truth, instead of it; `each` is called with the filter after every update.
     Inputs, (T, m) or (T,) by name, are those of the model over the interval that ends at each time.
     """
-    times, n = np.asarray(times, dtype=float), len(filt.x)
-    if times.ndim != 1 or len(times) != len(measurements):
+    times, n = array("times", times, (None,)), len(filt.x)
+    if len(times) != len(measurements):
         raise ModelError(
             f"run needs as many measurements as times; got times of shape {times.shape} "
             f"and {len(measurements)} measurements"
         )
     times = onwards(times, filt.t)
-    if len(times) and (not np.all(np.isfinite(times)) or np.any(np.diff(times) < 0) or times[0] < filt.t):
-        raise ModelError(
-            f"times must be finite, not decreasing and not before the filter's own time {filt.t:g}"
-        )
+    if len(times) and (np.any(np.diff(times) < 0) or times[0] < filt.t):
+        raise ModelError(f"times must be not decreasing and not before the filter's own time {filt.t:g}")
     if observer is None and truth is not None:
         observer = Ranker(truth)
     if observer is not None and np.shape(observer.truth) != (len(times), n):

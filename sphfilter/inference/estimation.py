@@ -7,7 +7,7 @@ and its second derivatives at the maximum are the (observed) information.
 import math
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -21,7 +21,7 @@ from ..filter.results import FilterResult
 from ..filter.sph_filter import SPHFilter
 from ..model.named import InputRecord
 from .evidence import Bound, Builder, Evidence, Pickled, Progress, check_name, checked_guess, error_of_run
-from .maximum import NEAR, ROUND, climbed, off_bounds, polished, ridge, room, searched
+from .maximum import NEAR, ROUND, bounded_where_refused, climbed, off_bounds, polished, ridge, room, searched
 from .posterior import ParameterPosterior, Prior, posterior_of
 from .quadratic import Quadratic, quadratic, roughness, step_for
 
@@ -223,7 +223,8 @@ def fit_parameters(
     Notes
     -----
     A maximum is local: begin elsewhere to look for others. A filter that refuses some parameters is no
-    hindrance to the search. The log-evidence counts measurements that the filter rejected too.
+    hindrance to the search: where it refuses what is below zero, as of a variance, zero is a bound.
+    The log-evidence counts measurements that the filter rejected too.
 
     Examples
     --------
@@ -250,11 +251,23 @@ def fit_parameters(
     names, theta, low, high = checked_guess(guess, bounds)
     evidence = Evidence(filt, times, measurements, names, report, inputs)
     evidence.bounds = low, high
-    value = evidence.first(theta)
-    theta, value = searched(evidence, theta, max_evaluations)
+    evidence.first(theta)
+    try:
+        return _fitted(evidence, theta, max_evaluations)
+    except EstimationError:
+        if not (positive := bounded_where_refused(evidence, theta)):
+            raise
+    found, said = _fitted(evidence, theta, max_evaluations), "the filter refuses values below zero of"
+    return replace(found, status=f"{found.status}; {said} {', '.join(positive)}")
+
+
+def _fitted(evidence: Evidence, guess: Floats, max_evaluations: int) -> ParameterFit:
+    """The fit within the bounds of an evidence."""
+    low, high = evidence.bounds
+    theta, value = searched(evidence, guess, max_evaluations)
     theta, value = off_bounds(evidence, theta, value)
     theta, value, free, local = climbed(evidence, theta, value, max_evaluations)
-    rough, left, covariance = 0.0, np.inf if free.any() else 0.0, np.full((len(names), len(names)), np.nan)
+    rough, left, covariance = 0.0, np.inf if free.any() else 0.0, np.full((len(guess), len(guess)), np.nan)
     if local is not None:
         inside, centre = evidence.within(theta, free), theta[free]
         rough = roughness(inside, centre, value, local.root)

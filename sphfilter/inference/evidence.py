@@ -43,9 +43,12 @@ def checked_guess(
     guess: Mapping[str, float], bounds: Mapping[str, Bound] | None
 ) -> tuple[list[str], Floats, Floats, Floats]:
     """Names, guess, lowest and highest values (n,)."""
-    names = [str(name) for name in dict(guess)]
-    if not names:
-        raise ModelError("guess is empty; give the parameters to fit with a first value, such as {'c': 0.3}")
+    if not isinstance(guess, Mapping) or not guess:
+        what = validate.short(guess) if guess else "empty"
+        raise ModelError(
+            f"guess is {what}; give the parameters to fit with a first value, as in {{'c': 0.3}}"
+        )
+    names = [str(name) for name in guess]
     theta = np.array([validate.real(f"guess of {name}", value) for name, value in dict(guess).items()])
     low, high = np.full(len(names), -np.inf), np.full(len(names), np.inf)
     for name, pair in dict(bounds or {}).items():
@@ -86,9 +89,9 @@ class Evidence:
                 f"parameters of an SPHFilter are fitted, or of what a function makes of them; got "
                 f"{validate.short(filt)}: give a function of them by name that returns a new filter"
             )
-        self.times, self.names, self.inputs = np.array(times, dtype=float), names, deepcopy(inputs)
+        self.times, self.names, self.inputs = validate.array("times", times, (None,)), names, deepcopy(inputs)
         self.measurements = deepcopy(rows_of(getattr(filt, "measurement", None), measurements))
-        if np.shape(self.times) != (len(self.measurements),):
+        if len(self.times) != len(self.measurements):
             raise ModelError(
                 f"as many measurements as times are needed; got times of shape {np.shape(self.times)} and "
                 f"{len(self.measurements)} measurements"

@@ -95,11 +95,32 @@ def climbed(
 
 
 def _at_bound(evidence: Evidence, theta: Floats, value: float, k: int) -> tuple[Floats, float]:
-    """A parameter on the bound that it is near, or left where it is if there is less evidence there."""
-    held, (low, high) = theta.copy(), evidence.bounds
-    held[k] = low[k] if theta[k] - low[k] < high[k] - theta[k] else high[k]
+    """A parameter on the bound that it is near, or left where it is if there is less evidence there.
+
+    Where the filter refuses the bound, as a variance of zero, it comes as near as that has more evidence.
+    """
+    low, high = evidence.bounds
+    bound = low[k] if theta[k] - low[k] < high[k] - theta[k] else high[k]
+    held, off = theta.copy(), theta[k] - bound
+    held[k] = bound
     moved = evidence(held)
-    return (held, moved) if moved >= value else (theta, value)
+    if moved > -np.inf:
+        return (held, moved) if moved >= value else (theta, value)
+    for held[k] in bound + off * 0.1 ** np.arange(1, ROUNDS):
+        moved = evidence(held)
+        if moved < value + _CLOSE:
+            break
+        theta, value = held.copy(), moved
+    return theta, value
+
+
+def bounded_where_refused(evidence: Evidence, theta: Floats) -> list[str]:
+    """Bound by zero the parameters above it that the filter refuses below it, as variances; their names."""
+    low, refused = evidence.bounds[0], np.zeros(len(theta), dtype=bool)
+    for k in np.flatnonzero(np.isneginf(low) & (theta > 0.0)):
+        refused[k] = evidence(theta * np.where(np.arange(len(theta)) == k, -_CLOSE, 1.0)) == -np.inf
+    low[refused] = 0.0
+    return evidence.names_of(refused)
 
 
 def _near_bounds(theta: Floats, root: Floats, free: Bools, low: Floats, high: Floats) -> Bools:

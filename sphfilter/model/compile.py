@@ -271,7 +271,7 @@ def _check_shape(returned: Any, shape: tuple[int, ...], name: str) -> None:
             f"{name} returns nothing: it raises an exception or has no return statement; "
             f"it must return {_wanted(shape)}."
         )
-    raise ModelError(f"{name} returns {returned}; it must return {_wanted(shape)}.")
+    raise ModelError(f"{name} returns a {type(returned).__name__}; it must return {_wanted(shape)}.")
 
 
 def _wanted(shape: tuple[int, ...]) -> str:

@@ -254,7 +254,10 @@ class SDE(Dynamics):
         super()._set(values)
         rows = np.array(self._flags.get("diffusion_rows", np.ones(self.dim, dtype=bool)))
         if self.constant_diffusion:
-            rows = np.any(self.diffusion(np.zeros((1, self.dim)), 0.0)[0] != 0.0, axis=1)
+            D = self.diffusion(np.zeros((1, self.dim)), 0.0)[0]
+            if np.isfinite(D).all():  # inputs that it divides by may be none yet
+                validate.covariance("the diffusion of the noise", D, definite=False)
+            rows = np.any(D != 0.0, axis=1)
         rows.setflags(write=False)
         self.diffusion_rows = rows
         fastest = np.abs(self._at("frequencies", 0.0)).max(initial=0.0)

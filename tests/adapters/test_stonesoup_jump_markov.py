@@ -99,6 +99,15 @@ def test_a_tracker_gives_what_the_filter_gives(model, z, scored):
     assert set(state.densities) == set(model.names)
 
 
+@pytest.mark.parametrize("made", [JumpMarkovPredictor, lambda m, **own: SPHPredictor(m.modes["rest"], **own)])
+def test_a_prediction_says_what_time_it_took(made):
+    """And that this was more than a budget."""
+    for budget, late in ((None, False), (1e-9, True), (1e3, False)):
+        info = made(linear(), config=sf.FilterConfig(time_budget=budget)).predict(START, at(1)).info
+        assert (sf.Code.LATE in info.code) == ("time budget exceeded" in info.status) == late
+        assert info.seconds > 0.0
+
+
 def test_the_predicted_reading_is_that_of_all_modes():
     """Mean and covariance are the filter's innovation; angles of modes apart are averaged as directions."""
     predictor, updater = parts(linear())
@@ -311,7 +320,6 @@ def merging(predictor, updater):
         (lambda: SPHPredictor(linear().modes["rest"], n_particles="auto"), "takes a bound of the particles"),
         (lambda: JumpMarkovPredictor(linear(), n_particles="many"), "n_particles"),
         (lambda: JumpMarkovPredictor(linear(), mode_probabilities=[0.5, 0.6]), "sum to one"),
-        (lambda: JumpMarkovPredictor(linear(), config=sf.FilterConfig(time_budget=1.0)), "time_budget"),
         (
             lambda: JumpMarkovPredictor(linear()).predict(gaussian(), at(1)),
             "of 2 numbers, those of the model of 1",

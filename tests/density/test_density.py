@@ -54,6 +54,7 @@ def test_probability_and_marginal(density):
     y = np.linspace(-5, 1, 13)[:, None]
     assert one.dim == 1
     assert one.pdf(y) == pytest.approx(stats.norm.pdf(y[:, 0], MEAN[1], np.sqrt(COV[1, 1])), abs=0.01)
+    np.testing.assert_array_equal(density.marginal(1).x, one.x)
     assert density.marginal([1, 0]).mean() == pytest.approx(MEAN[::-1], abs=1e-6)
 
 
@@ -123,6 +124,10 @@ def test_bad_questions(density):
         (lambda: density.moment([1, -1]), "powers"),
         (lambda: density.marginal([0, 0]), "axes"),
         (lambda: density.marginal([2]), "axes"),
+        (
+            lambda: density.probability(lambda X: X > 0.0),
+            "what the region returns has shape .* each row of X",
+        ),
         (lambda: density.hpd_level(1.0), "between 0 and 1"),
         (lambda: density.cov("pints"), "points"),
     ]:

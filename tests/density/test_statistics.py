@@ -341,6 +341,34 @@ def test_a_marginal_keeps_the_domain_of_its_axes(config):
     assert density.marginal([1, 0]).domain == sf.Domain(None, ("periodic", -np.pi, np.pi))
 
 
+@pytest.mark.parametrize("domain", [None, sf.Domain(("periodic", -np.pi, np.pi), *[None] * 5)])
+def test_marginals_and_samples_of_many_gaussian_states_need_no_lattice(domain):
+    """A lattice of six states took seconds a marginal, and a picture asks for dozens."""
+    root = np.random.default_rng(6).normal(size=(6, 6)) / 6.0 + 0.5 * np.eye(6)
+    cov = root @ root.T
+    density = sf.initialize(sf.Gaussian(np.zeros(6), cov), "auto", domain=domain)
+    one = density.marginal([0, 4])
+    X = one.mean() + np.random.default_rng(1).normal(size=(50, 2)) * 0.5
+    exact = stats.multivariate_normal(np.zeros(2), cov[np.ix_([0, 4], [0, 4])])
+    np.testing.assert_allclose(one.logpdf(X), exact.logpdf(X), atol=1e-9 if domain is None else 2e-3)
+    assert density.quantile(4, 0.975) == pytest.approx(1.95996 * cov[4, 4] ** 0.5, rel=2e-3)
+    np.testing.assert_allclose(np.cov(density.sample(10_000, 1).T), cov, atol=0.03)
+    assert "laid" not in vars(density.form.bare)
+
+
+@pytest.mark.parametrize("domain", [None, sf.Domain(None, ("periodic", -np.pi, np.pi))])
+def test_quantiles_of_what_has_no_width(domain):
+    """Of one point, and of a state that is known, as of the cloud that a sharp reading leaves."""
+    one = sf.ParticleDensity(x=[[1.0, 2.0]], mass=[1.0], h=[0.1], read_out="cloud", domain=domain)
+    flat = sf.ParticleDensity(
+        x=[[1.0, 2.0], [3.0, 2.0]], mass=[0.5, 0.5], h=[0.1, 0.1], read_out="cloud", domain=domain
+    )
+    for density in (one, flat):
+        np.testing.assert_allclose(density.quantile(1, [0.1, 0.9]), 2.0, rtol=1e-15)
+    assert one.quantile(0, 0.5) == 1.0
+    assert flat.quantile(0, [0.1, 0.9]).tolist() == sorted(flat.quantile(0, [0.1, 0.9]))
+
+
 def test_quantiles_between_walls():
     x = (np.arange(40.0)[:, None] + 0.5) / 40.0
     domain = sf.Domain(("reflecting", 0.0, 1.0))

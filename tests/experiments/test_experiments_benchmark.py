@@ -1,12 +1,15 @@
 """The benchmark: measures against closed forms, references, rows on disk, and the command end to end."""
 
 import json
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numba
 import numpy as np
 import pytest
 from csv_rows import csv_rows
+from numba.core import event
 
 from experiments import __main__ as commands
 from experiments.benchmark import expensive, overview, reference, tables
@@ -15,7 +18,7 @@ from experiments.benchmark.counting import drift_evaluations
 from experiments.benchmark.densities import Cloud, hellinger, normal, snapshot
 from experiments.benchmark.errors import errors, root_mean_square, truth_errors
 from experiments.benchmark.frontier import markdown, seconds_for
-from experiments.benchmark.measure import measure
+from experiments.benchmark.measure import _timed, measure
 from experiments.benchmark.methods import Method, default_families, label, methods, size_text
 from experiments.benchmark.store import Rows
 from experiments.benchmark.summary import Line, ReferenceError, fastest_to_reach, particle_law
@@ -201,6 +204,22 @@ def test_a_watched_run_stops_at_its_limit():
     filt = Factory("kf", scenario)(case, None)
     with pytest.raises(TooSlow, match="stopped"):
         Watched(filt, limit=0.0).run(case.times, case.z)
+
+
+def test_what_is_compiled_counts_for_no_limit_and_no_run_time(monkeypatch):
+    """As on an empty cache, where the first lattice compiles for half a minute."""
+    scenario = load_scenario("linear_underdamped", **{"times.end": 3.0})
+    case, predict = scenario.draw(np.random.default_rng(2)), KalmanFilter.predict
+
+    def compiling(self, *args, **options):
+        with event.trigger_event("numba:compile", data={"dispatcher": numba.njit(lambda: None)}):
+            time.sleep(0.5)
+        return predict(self, *args, **options)
+
+    monkeypatch.setattr(KalmanFilter, "predict", compiling)
+    method = SimpleNamespace(factory=Factory("kf", scenario))
+    *_, wall, _ = _timed(method, case, SimpleNamespace(densities={}), [1], limit=0.4)
+    assert wall < 0.4
 
 
 @pytest.mark.slow

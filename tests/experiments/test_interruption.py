@@ -148,18 +148,27 @@ sys.exit(stoppable(lambda: None, lambda: Thing() and 3))
     assert "no such luck" in done.stderr
 
 
-def test_the_command_line_is_stopped_while_it_starts():
-    done = run([sys.executable, "-c", START])
+@pytest.mark.parametrize(
+    ("program", "while_importing"), [("experiments", "commands"), ("sphfilter", "config")]
+)
+def test_the_command_line_is_stopped_while_it_starts(program, while_importing):
+    done = run([sys.executable, "-c", START, program, f"{program}.{while_importing}"])
     assert (done.returncode, done.stderr) == (130, "Stopped.\n")
+
+
+def test_a_program_that_imports_the_library_has_its_own_interruption():
+    code = "import signal, sphfilter; print(signal.getsignal(signal.SIGINT))"
+    assert "default_int_handler" in run([sys.executable, "-c", code]).stdout
 
 
 START = """
 import os, runpy, signal, sys
-class Interrupting:  # when the commands begin to be imported
+_, program, module = sys.argv
+class Interrupting:
     def find_spec(self, name, path=None, target=None):
-        if name == "experiments.commands":
+        if name == module:
             os.kill(os.getpid(), signal.SIGINT)
 sys.meta_path.insert(0, Interrupting())
-sys.argv = ["experiments", "list"]
-runpy.run_module("experiments", run_name="__main__", alter_sys=True)
+sys.argv = [program, "list"]
+runpy.run_module(program, run_name="__main__", alter_sys=True)
 """

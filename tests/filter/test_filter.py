@@ -249,6 +249,7 @@ def test_a_filter_without_a_sensor_is_given_one_with_each_measurement():
         ([-1.0], [[0.0]], "before the filter's own time"),
         ([1.0], [[0.0], [0.0]], "as many measurements as times"),
         ([np.nan], [[0.0]], "finite"),
+        (np.array(["2024-01-01"], "M8[ns]"), [[0.0]], "times must be numbers"),
     ],
 )
 @BOTH

@@ -178,6 +178,8 @@ def test_a_mistyped_argument_is_named():
         sf.SPHFilter(ours().model, None, [0.0, 0.0], np.eye(2), n_particle=10)
     with pytest.raises(TypeError, match=r"has no argument 'measurment' \(did you mean 'measurement'\?\)"):
         ours().update(0.1, measurment=None)
+    with pytest.raises(TypeError, match=r"\(did you mean 'P0'\?\)"):
+        sf.SPHFilter(ours().model, None, [0.0, 0.0], p0=np.eye(2))
 
 
 @pytest.mark.parametrize(

@@ -80,6 +80,12 @@ def test_masked_records():
     assert np.isnan(flt.z).all()
 
 
+def test_a_sensor_without_a_value_is_told_with_the_state_where():
+    sensor = sf.GaussianMeasurement.from_expressions(["x"], ["sqrt(x)"], [[0.1]])
+    with pytest.raises(sf.ModelError, match=r"is NaN at the state \[-\d"):
+        sf.SPHFilter(decay(), sensor, [0.1], [[1.0]]).update(1.0)
+
+
 @pytest.mark.parametrize("name", ["µ", "ϕ", "ϵ", "ϑ", "μ"])
 def test_names_are_compared_as_python_compares_them(name):
     model = sf.SDE.from_expressions([name], [f"-{name}"], [["1"]])

@@ -133,6 +133,23 @@ def test_differences_stay_off_a_bound_where_the_filter_refuses():
     assert fit.standard_error["R"] > fit.estimate["R"]
 
 
+def test_a_variance_whose_maximum_is_zero_is_flagged_and_not_refused():
+    """Readings without noise, and no bounds: the filter refuses R <= 0, and R is next to zero."""
+    model = sf.SDE.from_expressions(["x"], ["-a*x"], [["1"]], parameters={"a": 0.6})
+    times, level = 0.4 * np.arange(1, 31), sf.GaussianMeasurement([[1.0]], [[0.1]])
+    truth = sf.simulate(model, level, x0=[0.0], times=np.r_[0.0, times], rng=1)[0][1:]
+
+    def build(p):
+        return KalmanFilter(model, level.changed(noise_cov=p["R"]), [0.0], [[0.1]])
+
+    for bounds in (None, {"R": (0.0, None)}):
+        fit = sf.fit_parameters(build, times, truth, {"R": 0.1}, bounds=bounds)
+        assert 0.0 < fit.estimate["R"] < 1e-3 and fit.at_bound == ("R",) and fit.converged
+        limit = build({"R": 1e-9}).run(times, truth).log_evidence.sum()
+        assert fit.log_evidence == pytest.approx(limit, abs=5e-3)
+        assert ("the filter refuses values below zero of R" in fit.status) == (bounds is None)
+
+
 def test_the_profile_of_a_gaussian_evidence_is_a_parabola():
     class Filter:
         """A filter whose evidence is a Gaussian of its parameters."""
@@ -177,6 +194,8 @@ def test_wrong_arguments_are_refused_with_a_sentence(z):
         sf.fit_parameters(flt, TIMES, z[:-1], {"k": 1.0})
     with pytest.raises(sf.ModelError, match="guess is empty"):
         sf.fit_parameters(flt, TIMES, z, {})
+    with pytest.raises(sf.ModelError, match=r"guess is \['k'\]; give the parameters"):
+        sf.fit_parameters(flt, TIMES, z, ["k"])
     with pytest.raises(sf.ModelError, match="bounds name 'x'"):
         sf.fit_parameters(flt, TIMES, z, {"k": 1.0}, bounds={"x": (0, 1)})
     with pytest.raises(sf.ModelError, match="not within its bounds"):

@@ -213,3 +213,8 @@ def test_inputs_that_are_no_numbers_are_refused(u):
     model = sf.SDE.from_expressions(["x"], ["-x + a"], [["1"]], inputs=["a"])
     with pytest.raises(sf.ModelError, match=r"^u "):
         sf.SPHFilter(model, None, [0.0], [[1.0]]).predict(1.0, u=u)
+
+
+def test_noise_may_divide_by_an_input_that_is_still_zero():
+    model = sf.SDE.from_expressions(["x"], ["-x"], [["1/u"]], inputs=["u"])
+    assert model.with_inputs(u=2.0).diffusion([[0.0]], 0.0)[0, 0, 0] == 0.125

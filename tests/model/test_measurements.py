@@ -143,6 +143,7 @@ def test_likelihood_measurement():
             r"function of \(z, X, t\), but its arguments are \(z, x",
         ),
         (lambda: GaussianMeasurement([[1.0]], [[1.0]], angles=[1]), "angles names component 1"),
+        (lambda: GaussianMeasurement(lambda x: [x[0]], [[1.0]]), "h returns a List; it must return a tuple"),
         (lambda: GaussianMeasurement(polar, [[1.0]]), r"h returns 2 value\(s\), but 1"),
         (lambda: GaussianMeasurement(polar, np.eye(2)).predict(np.ones((3, 1))), "reads beyond the state"),
         (lambda: GaussianMeasurement(H, R).predict(np.ones((3, 2))), "h is of 3 states, but the state has 2"),

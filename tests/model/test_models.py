@@ -315,6 +315,10 @@ def test_discretize_limits():
         (lambda: SDE(duffing, 2, None, [[1.0]]), "without noise="),
         (lambda: SDE(duffing, 2, [[0], [1]], diffusion=np.eye(2)), "not both"),
         (lambda: SDE(duffing, 2, diffusion=-np.eye(2)), "not positive semidefinite"),
+        (
+            lambda: SDE.from_expressions(["x"], ["-x"], [["sqrt(q)"]], None, {"q": -1.0}),
+            "not positive semidefi",
+        ),
         (lambda: SDE(duffing, 2, diffusion=lambda x, t: ((-1.0, 0.0), (0.0, 1.0))), "not positive"),
         (lambda: SDE(duffing, 2, lambda x, t: ((0.0,), (x[0],))), "give spectral_density="),
         (lambda: SDE(duffing, 2, lambda x, t: (0.0, x[0]), 1.0), r"2 value\(s\), but 2 × 1"),

@@ -19,6 +19,7 @@ from ...density.initialize import initialize
 from ...density.modes import ModeDensities
 from ...density.particle_density import ParticleDensity
 from ...errors import ConfigError, ModelError, PropagationError
+from ...filter.budget import Budget
 from ...info import PredictInfo
 from ...model.dynamics import Dynamics
 from ...model.jump_markov import JumpMarkovModel
@@ -100,12 +101,15 @@ class DensityPredictor(Predictor):
         """The `Step` of dt seconds by a model that is known by these values; kept a while."""
 
         def made() -> Step:
+            budget = Budget(self._config.time_budget)
+            budget.begin()
             try:
-                return self._moved(state, before, dt)
+                step = self._moved(state, before, dt)
             except PropagationError as problem:
                 if self.on_failure == "raise":
                     raise
-                return self._stand_in(problem, before, dt)
+                step = self._stand_in(problem, before, dt)
+            return step._replace(info=budget.end("", step.info, 0, repeated=False))
 
         key = before, *model, dt, self._config, self.n_particles, self.on_failure
         return self._kept.result(key, made)
@@ -133,6 +137,7 @@ class SPHPredictor(DensityPredictor):
     n_particles : int
         Upper bound of the number of particles.
     config : FilterConfig, optional
+        A prediction that takes longer than its `time_budget` says so, `Code.LATE`: it has no fewer points.
     on_failure : "gaussian", "drop" or "raise"
         What comes of a density that could not be carried (`PropagationError`). With "gaussian" the Gaussian
         that the model linearised along the mean makes of its mean and covariance, as of an extended Kalman
@@ -237,7 +242,7 @@ class JumpMarkovPredictor(DensityPredictor):
     n_particles : int or "auto"
         As of `SPHFilter`, of each mode.
     config : FilterConfig, optional
-        Without `time_budget`. By default the target error is .05 standard deviations: the .1 % that it adds
+        As of `SPHPredictor`. By default the target error is .05 standard deviations: the .1 % that it adds
         to the errors of a track is little beside what clutter leaves open.
     on_failure : "drop" or "raise"
         What comes of densities that could not be carried (`PropagationError`), and of a detection that the
@@ -265,8 +270,6 @@ class JumpMarkovPredictor(DensityPredictor):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         model = switching(self.transition_model)
-        if self._config.time_budget is not None:
-            raise ConfigError("JumpMarkovPredictor keeps no time_budget; leave it out, or raise target_error")
         if self.n_particles != "auto":
             count("n_particles", self.n_particles)
         checked_probabilities(self.mode_probabilities, model)
