@@ -7,7 +7,7 @@ import numpy as np
 
 from .._types import Floats
 from .defect import Defect, defect_of
-from .family import OF_MISFIT, Family, fitted, gaussian_family, moments_apart, node_moments, particles_of
+from .family import OF_MISFIT, Family, fitted, gaussian_family, moments_apart, node_moments
 from .left_out import LeftOut
 from .max_entropy import max_entropy
 from .particle_density import ParticleDensity
@@ -97,7 +97,7 @@ def _agree(density: ParticleDensity, family: ParticleDensity, most: float) -> bo
 
 def family_density(density: ParticleDensity, family: Family, **changes: Any) -> ParticleDensity:
     """A density whose place in the record is that of another, as one family."""
-    return ParticleDensity.of_new(**particles_of(family), **_about(density) | changes)
+    return ParticleDensity.of_family(family, **_about(density) | changes)
 
 
 def pieces_density(density: ParticleDensity, pieces: Pieces, **changes: Any) -> ParticleDensity:

@@ -155,17 +155,20 @@ def _standard(n: int, degree: int) -> Floats:
 
 def particles_of(family: Family) -> dict[str, Any]:
     """Fields of a density that is one family, by name: its nodes are its particles."""
-    w, n = family.weighted()[0], len(family.mu)
-    b, C = node_moments(family.basis.xi, w)
-    width = abs(np.linalg.det(family.A)) ** (1.0 / n)
-    return {
-        "x": family.nodes,
-        "mass": w,
-        "h": np.full(len(w), width),
-        "read_out": "family",
-        "family": family,
-        "moments": (family.mu + family.A @ b, family.A @ C @ family.A.T),
-    }
+    own = dict(zip(("x", "mass", "h"), nodes_of(family), strict=True))
+    return own | {"read_out": "family", "family": family, "moments": moments_of(family)}
+
+
+def nodes_of(family: Family) -> tuple[Floats, Floats, Floats]:
+    """Nodes (N, n) of a family, their masses (N,), and how wide (N,) each is."""
+    w = family.weighted()[0]
+    return family.nodes, w, np.full(len(w), abs(np.linalg.det(family.A)) ** (1.0 / len(family.mu)))
+
+
+def moments_of(family: Family) -> tuple[Floats, Floats]:
+    """Mean (n,) and covariance (n, n) of a family, by its nodes."""
+    b, C = node_moments(family.basis.xi, family.weighted()[0])
+    return family.mu + family.A @ b, family.A @ C @ family.A.T
 
 
 def laid_by(log_p: OfStates, moments: Any, n_particles: int, middles: Floats) -> LatticeDensity:

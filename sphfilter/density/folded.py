@@ -39,8 +39,8 @@ class Folded(Shape):
     @property
     def atoms(self) -> tuple[Floats, Floats] | None:
         """States inside of the domain, and masses, where the density is read as these alone."""
-        alone = self._seen.atoms
-        return None if alone is None else (self.domain.fold(alone[0]), alone[1])
+        alone = self.shape.atoms and self._seen.atoms
+        return alone and (self.domain.fold(alone[0]), alone[1])
 
     def nodes(self, n_particles: int) -> int:
         return self.shape.nodes(n_particles)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +20,7 @@ from ..validate import array, choice, generator, row, state_rows
 from . import statistics
 from .cloud import Cloud
 from .defect import Defect
-from .family import Family
+from .family import Family, moments_of, nodes_of
 from .folded import Folded
 from .left_out import LeftOut
 from .marginal import around
@@ -193,6 +193,25 @@ class ParticleDensity(Noted):
             own.flags.writeable = False
         return new
 
+    @classmethod
+    def of_family(cls, family: Family, **about: Any) -> "ParticleDensity":
+        """One family, whose nodes are its particles: they are laid where somebody asks for them."""
+        new = object.__new__(cls)
+        moments = (family.mu.copy(), family.A @ family.A.T) if about.get("gaussian") else moments_of(family)
+        vars(new).update(about, family=family, moments=moments, read_out="family")
+        return new
+
+    if not TYPE_CHECKING:  # other names are none
+
+        def __getattr__(self, name: str) -> Any:
+            family = vars(self).get("family")
+            if family is None or name not in ("x", "mass", "h"):
+                raise AttributeError(f"a ParticleDensity has no {name!r}")
+            for key, value in zip(("x", "mass", "h"), nodes_of(family), strict=True):
+                value.flags.writeable = False
+                vars(self)[key] = value
+            return vars(self)[name]
+
     def __repr__(self) -> str:
         domain = "" if self.domain is None else f", domain={self.domain}"
         return (
@@ -212,7 +231,7 @@ class ParticleDensity(Noted):
     @property
     def dim(self) -> int:
         """Number of states n."""
-        return self.x.shape[1]
+        return self.x.shape[1] if self.family is None else len(self.family.mu)
 
     @property
     def walls(self) -> Walls:
@@ -222,7 +241,7 @@ class ParticleDensity(Noted):
     @property
     def n_particles(self) -> int:
         """Number of particles N."""
-        return len(self.x)
+        return len(self.x if self.family is None else self.family.basis.xi)
 
     @property
     def sph_kernel(self) -> kernels.Kernel:

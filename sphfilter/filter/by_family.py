@@ -121,13 +121,13 @@ def _errors_beyond_nodes(
         true = prior.log_p(states) + weight(states) - log_evidence
         below = posterior.log_p(own_mean[None]) - true
         far = (((states - own_mean) @ root.T) ** 2).sum(axis=1)  # a peak that far off widens a variance so
-        wider = np.exp(-below) * np.maximum(far, 1.0)
+        log_wider = np.log(np.maximum(far, 1.0)) - below
         other = true - posterior.log_p(states) > _MORE
-        if np.any(other & ((below < _NEGLIGIBLE) | (wider > 1.0 - ALIKE))):
+        if np.any(other & ((below < _NEGLIGIBLE) | (log_wider > math.log(1.0 - ALIKE)))):
             raise PropagationError(
                 "one family does not hold the posterior: other states explain the reading too"
             )
-        elsewhere = float(np.max(wider[other], initial=0.0))
+        elsewhere = math.exp(np.max(log_wider[other], initial=-math.inf))
     likely, own = weight(X) - log_evidence, posterior.log_p(X) - prior.log_p(X)
     off = mass * (np.exp(np.minimum(likely, LARGEST_EXPONENT)) - np.exp(np.minimum(own, LARGEST_EXPONENT)))
     y = (X - own_mean) @ root.T

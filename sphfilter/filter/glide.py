@@ -28,7 +28,7 @@ from ..prediction.cloud import as_points, least_steps, shadow_size
 from ..prediction.ladder import becomes_cloud
 from .by_cloud import error_added
 from .read_only import read_only as as_found
-from .reading_at_prior import ReadingAtPrior, reading_of
+from .reading_at_prior import ReadingAtPrior, linear_reading
 from .stacked import Stacked
 from .state import FilterState
 
@@ -36,7 +36,6 @@ _LONGEST = 8  # readings at most that a filter takes itself, before the next are
 _AHEAD = 64  # readings that are looked at
 #: Points of all readings of one call of compiled code, which nothing interrupts: some tenth of a second.
 _POINTS = 2**16
-_NONE = np.empty(0)
 _COLUMNS = (
     "x_prior", "P_prior", "x", "P", "log_evidence", "evidence_error", "error", "variance_error",
     "innovation", "innovation_cov", "flagged",
@@ -249,8 +248,7 @@ def _rows(sensor: Any, Z: Floats, times: Floats, columns: tuple[Floats, ...]) ->
     rows = [_row(*parts) for parts in zip(*(column[: len(Z)] for column in columns), strict=True)]
     if sensor.H is not None:  # to the last bit as the sensor itself predicts
         for row, z, t in zip(rows, Z, times, strict=False):
-            summed = row["x_prior"], row["P_prior"]
-            expected, S, _ = reading_of(sensor, float(t), _NONE, _NONE, summed)
+            expected, S, _ = linear_reading(sensor, float(t), row["x_prior"], row["P_prior"])
             row |= {"innovation": sensor.residual(z, expected), "innovation_cov": S + sensor.noise_cov}
     return rows
 

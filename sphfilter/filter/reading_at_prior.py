@@ -133,27 +133,19 @@ def predicted_reading(density: ParticleDensity, measurement: GaussianSensor) -> 
 
     Angles are averaged around the reading of the mean.
     """
-    summed = density.mean(), density.cov()
-    return reading_of(measurement, density.t, density.x, density.mass, summed, density.domain)
-
-
-def reading_of(
-    measurement: GaussianSensor,
-    t: float,
-    x: Floats,
-    mass: Floats,
-    summed: tuple[Floats, Floats],
-    domain: Domain | None = None,
-) -> tuple[Floats, Floats, Floats]:
-    """Mean, covariance and cross-covariance of the noise-free reading of states x (N, n), mass (N,)."""
-    reference = measurement.predict(summed[0], t)[0]
+    middle, t, domain = density.mean(), density.t, density.domain
     if measurement.H is not None and not measurement.angles:
-        H, cov = measurement.H, summed[1]
-        return reference, H @ cov @ H.T, cov @ H.T
+        return linear_reading(measurement, t, middle, density.cov())
+    reference, x, mass = measurement.predict(middle, t)[0], density.x, density.mass
     around = np.ascontiguousarray(measurement.residual(measurement.predict(x, t), reference))
-    states = x if domain is None else domain.nearest(x - summed[0])
+    states = x if domain is None else domain.nearest(x - middle)
     mean, cov = moments(around, mass)
     return reference + mean, cov, np.einsum("i,ia,ik->ak", mass, states, around - mean)
+
+
+def linear_reading(sensor: Any, t: float, mean: Floats, cov: Floats) -> tuple[Floats, Floats, Floats]:
+    """As `predicted_reading`, of a linear sensor, by a mean (n,) and covariance (n, n) alone."""
+    return sensor.predict(mean, t)[0], sensor.H @ cov @ sensor.H.T, cov @ sensor.H.T
 
 
 def info_fields(
