@@ -231,7 +231,7 @@ class ParticleDensity(Noted):
     @property
     def dim(self) -> int:
         """Number of states n."""
-        return self.x.shape[1] if self.family is None else len(self.family.mu)
+        return int(self._states.shape[1])
 
     @property
     def walls(self) -> Walls:
@@ -241,7 +241,13 @@ class ParticleDensity(Noted):
     @property
     def n_particles(self) -> int:
         """Number of particles N."""
-        return len(self.x if self.family is None else self.family.basis.xi)
+        return len(self._states)
+
+    @property
+    def _states(self) -> Floats:
+        """As many states (N, n) as there are particles, whether or not these are laid."""
+        own: Any = vars(self)
+        return own["x"] if "x" in own else own["family"].basis.xi
 
     @property
     def sph_kernel(self) -> kernels.Kernel:

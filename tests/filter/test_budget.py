@@ -294,12 +294,13 @@ def test_sums_of_modes_go_to_an_error_that_there_is_time_for(monkeypatch):
 
 def test_a_reading_far_out_is_predicted_again_where_there_is_time(clock):
     model, sharp = drifts(), sf.GaussianMeasurement([[1.0]], [[4e-4]])
-    for budget, sentence in ((1e3, "repeated"), (None, "repeated"), (1e-5, "no time to repeat")):
+    for budget, code in ((1e3, sf.Code.REPEATED), (None, sf.Code.REPEATED), (1e-5, sf.Code.LATE)):
         config = sf.FilterConfig(time_budget=budget)
         start = {"mode_probabilities": {"rest": 1.0}, "config": config}
         flt = sf.JumpMarkovFilter(model, sharp, [0.0], [[0.01]], **start)
         flt.predict(1.0)
-        assert sentence in flt.update([0.7]).status
+        info = flt.update([0.7])
+        assert code in info.code and info.flagged == (code == sf.Code.LATE)
 
 
 def drifts():
