@@ -6,6 +6,7 @@ import pytest
 import sphfilter as sf
 from sphfilter.density.modes import ModeDensities
 from sphfilter.prediction.jumping import Way
+from sphfilter.prediction.mixing_modes import mixture
 
 P0 = 0.1 * np.eye(2)
 
@@ -58,6 +59,13 @@ def test_jumps_make_of_doubt_of_probabilities_one_of_the_density():
     for P, wrong in ((np.eye(2), 0.0), (np.full((2, 2), 0.5), np.sqrt(2.0) * off * 0.5)):
         way = Way(np.array([0.0, 0.5, 1.0]), (P,))
         np.testing.assert_allclose(way.in_doubt(modes)[1], wrong, rtol=0.01)
+
+
+def test_explanations_that_are_added_keep_the_doubt_of_their_modes():
+    start = sf.initialize(sf.Gaussian([0.0], [[1.0]]), "auto")
+    modes = ModeDensities(np.log([0.7, 0.3]), [start, start], unsure=np.array([0.04, 0.01]))
+    found = mixture([(0.2, modes), (0.5, modes)], sf.FilterConfig())
+    np.testing.assert_allclose(found.unsure, modes.unsure, rtol=1e-9)
 
 
 def test_a_cloud_of_modes_knows_its_ancestors_and_the_doubt_of_its_evidence():
