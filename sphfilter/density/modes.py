@@ -20,12 +20,14 @@ from .weighted import WeightedStates
 class SplittingError(NamedTuple):
     """Where a density is wrong: states X (M, n), and probabilities (M,) that are too many or few there.
 
-    `mass` is the part of the probability that moves the mean: those that only spread more have none.
+    `mass` is the part of the probability that moves the mean: those that only spread more have none. It is
+    not `exact` where the model bends: states are those of its linearisation, and it may be anywhere.
     """
 
     X: Floats
     off: Floats
     mass: float
+    exact: bool = True
 
 
 def no_ripple(n: int) -> SplittingError:

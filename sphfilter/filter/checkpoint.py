@@ -190,4 +190,6 @@ def _modes_from(arrays: Arrays) -> ModeDensities:
 
 def _ripple_from(arrays: Arrays) -> SplittingError:
     X, off = arrays["X"], arrays["off"]
-    return SplittingError(X, off, float(arrays.get("mass", min(off.sum(), 1.0))))
+    return SplittingError(
+        X, off, float(arrays.get("mass", min(off.sum(), 1.0))), bool(arrays.get("exact", True))
+    )

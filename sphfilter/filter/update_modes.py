@@ -75,7 +75,7 @@ def update_modes(
     if problem is not None and not infos:
         raise problem
     log_evidence = float(logsumexp(log_w))
-    log_off = np.array([_log_off(modes, i, sensors[name], z) for i, name in enumerate(names)])
+    log_off = np.array([_log_off(modes, i, sensors[name], z, log_w[i]) for i, name in enumerate(names)])
     nothing = np.full(len(names), -math.inf)
     brought_out = np.subtract(log_off, log_w, out=nothing, where=log_w > -math.inf)
     splitting = np.hypot(splitting, np.exp(np.minimum(brought_out, 0.0)))
@@ -106,14 +106,15 @@ def update_modes(
     )
 
 
-def _log_off(modes: ModeDensities, i: int, sensor: Sensor, z: ArrayLike | None) -> float:
-    """Logarithm of what the last prediction got wrong of a mode's part of the evidence."""
+def _log_off(modes: ModeDensities, i: int, sensor: Sensor, z: ArrayLike | None, log_w: float) -> float:
+    """Logarithm of what the last prediction got wrong of a mode's part of the evidence, which is log_w."""
     if modes.ripples is None or not len(modes.ripples[i].X):
         return -math.inf
-    X, off, _ = modes.ripples[i]
+    X, off, mass, exact = modes.ripples[i]
     about = modes.heaviest
     X = X if about.domain is None else about.domain.fold(X)
-    return float(modes.log_w[i] + logsumexp(sensor.log_likelihood(z, X, about.t), b=off))
+    found = float(modes.log_w[i] + logsumexp(sensor.log_likelihood(z, X, about.t), b=off))
+    return found if exact or mass == 0.0 else max(found, log_w + math.log(mass))
 
 
 def _innovation(infos: list[tuple[float, UpdateInfo]]) -> tuple[Floats | None, Floats | None]:

@@ -117,7 +117,8 @@ def splitting_error(
             covs.append(ends[1])
         if np.any(extra):
             whole = float(modes.w @ P[:, i])
-            off[i] = _absolute(np.concatenate(means), np.concatenate(covs), np.array(extra) / whole)
+            found = _absolute(np.concatenate(means), np.concatenate(covs), np.array(extra) / whole)
+            off[i] = found._replace(exact=all(mode.linear for mode in model.modes.values()))
     return off
 
 
@@ -131,7 +132,7 @@ def with_excursions(
         if parts:
             more = _absolute(*(np.concatenate(part) for part in zip(*parts, strict=True)))
             both = np.concatenate([ripple.X, more.X]), np.concatenate([ripple.off, more.off])
-            ripple = SplittingError(*both, ripple.mass)
+            ripple = SplittingError(*both, ripple.mass, ripple.exact)
         found.append(ripple)
     return found
 

@@ -9,6 +9,8 @@ from sphfilter.prediction.jumping import Way
 from sphfilter.prediction.mixing_modes import mixture
 
 P0 = 0.1 * np.eye(2)
+BENT = (("slow", 0.17, 0.0, "0.48"), ("fast", -1.07, 1.07, "0.1"))
+BENT_RATES = [[-0.001, 0.001], [0.2, -0.2]]
 
 
 def pendulum(rates=((-0.8, 0.8), (1.2, -1.2))):
@@ -66,6 +68,22 @@ def test_explanations_that_are_added_keep_the_doubt_of_their_modes():
     modes = ModeDensities(np.log([0.7, 0.3]), [start, start], unsure=np.array([0.04, 0.01]))
     found = mixture([(0.2, modes), (0.5, modes)], sf.FilterConfig())
     np.testing.assert_allclose(found.unsure, modes.unsure, rtol=1e-9)
+
+
+def test_where_steps_of_a_model_that_bends_are_wrong_is_not_known():
+    """A light mode, of which steps get a half wrong, makes a third of a posterior."""
+    modes = {k: sf.SDE.from_expressions(["x"], [f"{a}*x + {b} + sin(2*x)"], [[g]]) for k, a, b, g in BENT}
+    model, sensor = sf.JumpMarkovModel(modes, BENT_RATES), sf.GaussianMeasurement([[1.0]], [[0.004]])
+    found = []
+    for target in (0.1, 0.003):
+        flt = sf.JumpMarkovFilter(
+            model, sensor, [-1.0], [[0.06]], config=sf.FilterConfig(target_error=target)
+        )
+        flt.predict(2.0)
+        found.append((flt.update([0.08]), flt.mode_probabilities[1]))
+    (rough, w), (fine, exact) = found
+    assert abs(w - exact) < max(0.1, 2.0 * rough.splitting_error)
+    assert abs(rough.log_evidence - fine.log_evidence) < 3.0 * rough.evidence_error
 
 
 def test_a_cloud_of_modes_knows_its_ancestors_and_the_doubt_of_its_evidence():
