@@ -58,7 +58,7 @@ def update_modes(
         said: dict[str, Any] = {"accepted": True, "log_evidence": 0.0, "reason": NOTHING_CAME}
         return modes, ModesUpdateInfo(n_particles=modes.n_particles, error=modes.error, **said)
     log_w, densities = np.full(len(names), -math.inf), list(modes.densities)
-    splitting, unsure = np.zeros(len(names)), modes.unsure.copy()
+    splitting, of_evidence = np.zeros(len(names)), np.zeros(len(names))
     infos: dict[int, UpdateInfo] = {}
     problem: PropagationError | None = None
     for i, own, density in modes.some:
@@ -71,7 +71,7 @@ def update_modes(
         fresh = 0.0 if modes.ripples is None else modes.ripples[i].mass
         before = math.sqrt(max(modes.splitting[i] ** 2 - fresh**2, 0.0))
         splitting[i] = shift_left_by_update(density.cov(), new.cov()) * before
-        unsure[i] += infos[i].evidence_error ** 2
+        of_evidence[i] = infos[i].evidence_error
     if problem is not None and not infos:
         raise problem
     log_evidence = float(logsumexp(log_w))
@@ -79,12 +79,12 @@ def update_modes(
     nothing = np.full(len(names), -math.inf)
     brought_out = np.subtract(log_off, log_w, out=nothing, where=log_w > -math.inf)
     splitting = np.hypot(splitting, np.exp(np.minimum(brought_out, 0.0)))
-    unsure = unsure + np.logaddexp(0.0, brought_out) ** 2
+    of_evidence[np.isnan(of_evidence) & (log_w - log_evidence < math.log(SAID))] = 0.0  # of next to nothing
+    unsure = modes.unsure + of_evidence**2 + np.logaddexp(0.0, brought_out) ** 2
     posterior = ModeDensities(log_w, densities, np.minimum(splitting, 1.0), None, unsure)
     off = float(np.exp(min(logsumexp(log_off) - log_evidence, 0.0)))
     told = {names[i]: info for i, info in infos.items()}
     flagged = [(names[i], info) for i, info in infos.items() if info.flagged and posterior.w[i] > SAID]
-    w = [float(posterior.w[i]) for i in infos]
     y, S = _innovation([(modes.w[i], info) for i, info in infos.items()])
     return posterior, ModesUpdateInfo(
         accepted=any(info.accepted for i, info in infos.items() if posterior.w[i] > SAID),
@@ -95,9 +95,7 @@ def update_modes(
         n_particles=posterior.n_particles,
         error=posterior.error,
         # a density that is wrong by so many standard deviations of its mean is so by about as many nats
-        evidence_error=math.hypot(
-            np.dot(w, [info.evidence_error for info in infos.values()]), posterior.error, math.log1p(off)
-        ),
+        evidence_error=math.hypot(float(posterior.w @ of_evidence), posterior.error, math.log1p(off)),
         status="; ".join(f"{name}: {info.status}" for name, info in flagged if info.status != "ok") or "ok",
         code=reduce(or_, (info.code for _, info in flagged), Code.OK),
         scheme=", ".join(dict.fromkeys(info.scheme for info in infos.values())),
