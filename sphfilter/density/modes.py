@@ -74,9 +74,9 @@ class ModeDensities:
             return cls(np.log(w), [density] * len(w))
 
     def noted(self, **known: Any) -> "ModeDensities":
-        """The same densities with another `splitting`, `ripples` or `unsure`."""
-        own = {name: getattr(self, name) for name in ("splitting", "ripples", "unsure")}
-        return ModeDensities(self.log_w, self.densities, **own | known)
+        """The same with another `log_w`, `densities`, `splitting`, `ripples` or `unsure`."""
+        names = ("log_w", "densities", "splitting", "ripples", "unsure")
+        return ModeDensities(**{name: getattr(self, name) for name in names} | known)
 
     def cut(self, most: int) -> "ModeDensities":
         """Densities of the modes that go on as so many points each, where their memory chooses the number."""
@@ -88,7 +88,7 @@ class ModeDensities:
 
     def _with_needs(self, needs: Sequence[Any]) -> "ModeDensities":
         own = [p and p.noted(needs=known or p.needs) for p, known in zip(self.densities, needs, strict=True)]
-        return ModeDensities(self.log_w, own, self.splitting, self.ripples, self.unsure)
+        return self.noted(densities=own)
 
     @property
     def w(self) -> Floats:
@@ -166,10 +166,10 @@ class ModeDensities:
         own = [np.exp(log_w) * (p.error**2 + self.splitting[i] ** 2) for i, log_w, p in self.some]
         if self.unsure.any():
             mean, cov = self.moments
-            domain, w = self.heaviest.domain, self.w
-            for i, _, p in self.some:
-                off = p.mean() - mean if domain is None else domain.nearest((p.mean() - mean)[None])[0]
-                known = min(self.in_doubt[i], w[i])
+            domain = self.heaviest.domain
+            for i, w, middle, _ in self._own_moments:
+                off = middle - mean if domain is None else domain.nearest((middle - mean)[None])[0]
+                known = min(self.in_doubt[i], w)
                 own += [known**2 * np.mean(off**2 / np.diag(cov)), (self.in_doubt[i] - known) ** 2]
         return float(np.sqrt(sum(own)))
 

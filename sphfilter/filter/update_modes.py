@@ -76,8 +76,7 @@ def update_modes(
         raise problem
     log_evidence = float(logsumexp(log_w))
     log_off = np.array([_log_off(modes, i, sensors[name], z, log_w[i]) for i, name in enumerate(names)])
-    nothing = np.full(len(names), -math.inf)
-    brought_out = np.subtract(log_off, log_w, out=nothing, where=log_w > -math.inf)
+    brought_out = np.subtract(log_off, log_w, out=np.full(len(names), -math.inf), where=log_w > -math.inf)
     splitting = np.hypot(splitting, np.exp(np.minimum(brought_out, 0.0)))
     of_evidence[np.isnan(of_evidence) & (log_w - log_evidence < math.log(SAID))] = 0.0  # of next to nothing
     unsure = modes.unsure + of_evidence**2 + np.logaddexp(0.0, brought_out) ** 2

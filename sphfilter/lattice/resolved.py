@@ -11,7 +11,6 @@ from .._types import Bools, Floats, OfStates
 from ..core.field.field import Field
 from ..core.field.walls import NO_WALLS, Walls
 from ..core.limits import LARGEST_EXPONENT, ROUNDING, SAID, TINY
-from ..core.step_control import TRIES
 from ..errors import PropagationError
 from . import field as lattice_field
 from .check import Misfit, felt, left_out, misfit
@@ -236,7 +235,8 @@ def _tries(
     shape = within_pieces(laid) if isinstance(laid, LatticeDensity) else found[0].factor if found else None
     tops = [_Part(peak.x[None], np.ones(1), peak.log_mass, product(peak.x[None])) for peak in found]
     parts += tops
-    heaviest = sorted(zip(found, tops, strict=True), key=lambda pair: -pair[0].log_mass)[:TRIES]
+    # three get a lattice of their own: one and six change no run
+    heaviest = sorted(zip(found, tops, strict=True), key=lambda pair: -pair[0].log_mass)[:3]
     for peak, top in heaviest:
         for shallower in _SHALLOWER:
             new = _around(product, peak, n_particles, shallower * depth, walls)

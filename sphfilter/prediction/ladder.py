@@ -22,13 +22,14 @@ from ..density.resample import on_lattice
 from ..errors import PropagationError, UnresolvedError
 from ..info import Code, PredictInfo
 from ..lattice.level_set import min_nodes
+from ..lattice.resolved import TIMES
 from ..model.discrete import DiscreteModel
 from ..model.discretization import linear_transition
 from ..model.dynamics import Dynamics
 from ..model.sde import SDE
 from . import automatic, chapman_kolmogorov, cloud, family, pieces
 from ._shared import Predicted
-from .again import MOST_WORK, Ladder
+from .again import MOST_WORK
 from .escape import escaped
 from .to_target import Time, carried_to_target
 
@@ -210,7 +211,7 @@ def _by_lattice(
         try:
             moved, info, nodes = tried(nodes)
         except UnresolvedError:  # a first lattice knows nothing of the density, and may be too coarse
-            moved, info, nodes = tried(Ladder().times[0] * nodes)
+            moved, info, nodes = tried(TIMES[1] * nodes)
     except PropagationError:
         return _by_cloud(density, model, t1, target, needs)
     if moved.form.cell is not None:

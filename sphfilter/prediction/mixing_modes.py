@@ -54,8 +54,9 @@ def mixture(parts: Sequence[tuple[float, ModeDensities]], config: FilterConfig) 
     splitting = np.array([modes.splitting for _, modes in parts])
     error = math.sqrt(float(b @ [modes.error**2 for _, modes in parts]))
     target = config.target_error
-    each = Allowed(*[error_budget(error, target)] * 2)
-    found = summed(log_w, [modes.densities for _, modes in parts], splitting, target, each)
+    allowed = error_budget(error, target)
+    densities = [modes.densities for _, modes in parts]
+    found = summed(log_w, densities, splitting, target, Allowed(allowed, allowed))
     off = b @ np.array([modes.in_doubt for _, modes in parts])
     return found.noted(unsure=np.log1p(off / np.maximum(found.w, TINY)) ** 2)
 

@@ -96,7 +96,7 @@ def predict_modes(
     told, way = _Told(model.names), Way.of(model, (t0, t1), steps)
     count = _points(modes, model, config, n_particles) if jumps else 0
     unsure, wrong = way.in_doubt(modes)
-    moved = None if count else _in_turn(modes, model, way, config, n_particles, (apart, reach), told)
+    moved = None if count else _in_turn(modes, model, way, config, n_particles, apart, reach, told)
     if moved is None:
         told, forced = _Told(model.names), isinstance(config.scheme, CloudScheme)
         moved, infos = carried_with_jumps(modes, model, way, count or points_of_modes(modes, target), target)
@@ -138,7 +138,8 @@ def _in_turn(
     way: Way,
     config: FilterConfig,
     n_particles: int | str,
-    apart: tuple[float, float],
+    apart: float,
+    reach: float,
     told: "_Told",
 ) -> ModeDensities | None:
     """The densities of all modes at the end of a way, which are carried, and mixed at its times of jumps.
@@ -148,7 +149,7 @@ def _in_turn(
     target, steps = config.target_error, max(len(way.jumps), 1)
     allowed = error_budget(modes.error, target)
     # what steps add to polynomials and pieces is alike, and adds up; of lattices it comes as it may
-    each = Allowed(allowed / (steps + 1) / apart[0], allowed / math.sqrt(steps + 1), apart[1])
+    each = Allowed(allowed / (steps + 1) / apart, allowed / math.sqrt(steps + 1), reach)
     smaller = [config.target_error / part for part in (steps, math.sqrt(steps), 1.0)]
     configs = dict(zip(_KINDS, (replace(config, target_error=error) for error in smaller), strict=True))
     for t, P in zip(way.times[1:-1].tolist(), way.jumps, strict=True):
@@ -244,7 +245,7 @@ def _carried(
             continue
         densities[i] = outcome.density
         told.hear(i, outcome.info)
-    return ModeDensities(log_w, densities, modes.splitting)
+    return modes.noted(log_w=log_w, densities=densities)
 
 
 def _kind(density: ParticleDensity) -> str:

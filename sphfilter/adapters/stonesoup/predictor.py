@@ -314,7 +314,7 @@ class JumpMarkovPredictor(DensityPredictor):
         t, told = before.heaviest.t + dt, said(problem, "left out, the densities are those before")
         left = [None if p is None else replace(p, t=t) for p in before.densities]
         info = ModesInfo(scheme="", error=before.error, **told)
-        return Step(ModeDensities(before.log_w, left, before.splitting, unsure=before.unsure), info)
+        return Step(before.noted(densities=left, ripples=None), info)
 
 
 def _predictions(state: State) -> Iterable[State]:
