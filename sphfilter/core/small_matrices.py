@@ -63,6 +63,16 @@ def whiten(L, v):
 
 
 @jit
+def solve_factored(L, v):
+    """v <- (L Lᵀ)^-1 v."""
+    whiten(L, v)
+    for a in range(v.size - 1, -1, -1):
+        for b in range(a + 1, v.size):
+            v[a] -= L[b, a] * v[b]
+        v[a] /= L[a, a]
+
+
+@jit
 def invert_lower(A):
     """Inverse of a lower triangular matrix."""
     n = A.shape[0]

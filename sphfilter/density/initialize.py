@@ -2,6 +2,7 @@
 
 import logging
 import math
+import sys
 from dataclasses import replace
 from functools import cache
 from typing import Any, Literal, TypeAlias
@@ -105,6 +106,7 @@ def initialize(
     [[3.93]]
     """
     scheme = (config or SolverConfig()).scheme
+    _check_walls(distribution, domain)
     if isinstance(n_particles, str):
         choice("n_particles", n_particles, ["auto"])
     if isinstance(scheme, CloudScheme) and spacing is None and (start := _as_family(distribution, t, domain)):
@@ -128,6 +130,21 @@ def initialize(
         return _from_gaussian(distribution, n_particles, scheme, t)
     pdf, box = _seen_from(distribution, box, domain)
     return _from_pdf(pdf, box, n_particles, scheme, t, domain)
+
+
+def _check_walls(distribution: Distribution, domain: DomainLike) -> None:
+    """Refuse a Gaussian that has no probability within the walls of a domain, up to rounding."""
+    if not isinstance(distribution, Gaussian) or domain is None:
+        return
+    low, high = Domain.of(domain, len(distribution.mean)).walls
+    for a in range(len(low)):
+        mean, deviation = distribution.mean[a], math.sqrt(distribution.cov[a, a])
+        off = max(low[a] - mean, mean - high[a]) / deviation
+        if math.erfc(off / math.sqrt(2.0)) < 2.0 * sys.float_info.epsilon:
+            raise ModelError(
+                f"the start lies {off:.3g} standard deviations beyond a wall: state {a} is {mean:g} ± "
+                f"{deviation:.3g}, between {low[a]:g} and {high[a]:g}; check its mean, and its units"
+            )
 
 
 def _to_target(

@@ -16,7 +16,7 @@ from ..core.sph import kernels
 from ..errors import ModelError
 from ..lattice.level_set import LatticeDensity
 from ..model.domain import Domain
-from ..validate import array, choice, generator, row, state_rows
+from ..validate import array, choice, count, generator, row, state_rows
 from . import statistics
 from .cloud import Cloud
 from .defect import Defect
@@ -231,7 +231,8 @@ class ParticleDensity(Noted):
     @property
     def dim(self) -> int:
         """Number of states n."""
-        return int(self._states.shape[1])
+        own: Any = vars(self)
+        return own["x"].shape[1] if "x" in own else len(own["family"].mu)
 
     @property
     def walls(self) -> Walls:
@@ -241,13 +242,8 @@ class ParticleDensity(Noted):
     @property
     def n_particles(self) -> int:
         """Number of particles N."""
-        return len(self._states)
-
-    @property
-    def _states(self) -> Floats:
-        """As many states (N, n) as there are particles, whether or not these are laid."""
         own: Any = vars(self)
-        return own["x"] if "x" in own else own["family"].basis.xi
+        return len(own["x"] if "x" in own else own["family"].basis.xi)
 
     @property
     def sph_kernel(self) -> kernels.Kernel:
@@ -328,6 +324,8 @@ class ParticleDensity(Noted):
     def probability(self, region: Callable[[Floats], ArrayLike], kind: ReadOut | None = None) -> float:
         """Probability of a region given as a function of states X (M, n) that returns booleans (M,).
 
+        It may return numbers from 0 to 1, of which that is the expectation.
+
         Examples
         --------
         >>> import sphfilter as sf
@@ -337,7 +335,13 @@ class ParticleDensity(Noted):
         """
 
         def values(X: Floats) -> Floats:
-            return array("what the region returns", region(X), (len(X),), "a boolean for each row of X")
+            p = array("what the region returns", region(X), (len(X),), "a boolean for each row of X")
+            off = p[(p < 0.0) | (p > 1.0)]
+            if len(off):
+                raise ModelError(
+                    f"a region returns booleans for states X, got {off[0]:g}; compare: X[:, 0] > 0"
+                )
+            return p
 
         return statistics.expectation(self._between(kind), values, smooth=False)
 
@@ -443,7 +447,7 @@ class ParticleDensity(Noted):
 
     def sample(self, size: int, rng: Seed = None) -> Floats:
         """Draw states, shape (size, n), from the density; `rng` is a numpy Generator or a seed."""
-        return self.form.sample(size, generator(rng))
+        return self.form.sample(count("size", size, least=0), generator(rng))
 
     def marginal(self, axes: Sequence[int]) -> "ParticleDensity":
         """Density of the states in `axes` alone, a `ParticleDensity` with the domain of those axes.

@@ -236,8 +236,14 @@ def whole(path: pathlib.Path) -> Iterator[BinaryIO]:
 
 
 def write_arrays(path: str | PathLike[str], arrays: Arrays) -> None:
-    """Write arrays by name to a compressed npz file, with the version of the format."""
-    with open(path, "wb") as file:  # an open file, or numpy would add a suffix
+    """Write arrays by name to a compressed npz file, with the version of the format.
+
+    What was there before stays until all is written. Raises `ModelError` where there is no such folder.
+    """
+    own = pathlib.Path(path)
+    if not own.parent.is_dir():
+        raise ModelError(f"{own} cannot be written: there is no folder {own.parent}; make it first.")
+    with whole(own) as file:  # an open file, or numpy would add a suffix
         _write(file, arrays)
 
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from .._types import Floats
+from ..core.kalman import conditioned
 from ..core.limits import ALIKE, LARGEST_EXPONENT, LOOK
 from ..density.as_family import defect_in, family_density, family_of, moments_on_line
 from ..density.defect import OF_UNSIGNED, after_reading, read_out
@@ -17,7 +18,7 @@ from ..errors import PropagationError
 from ..lattice.level_set import root_of
 from ..model.measurements import block, is_gaussian
 from .inherited import evidence_error_by, evidence_error_of, shift_left_by_update
-from .reading_at_prior import ReadingAtPrior, info_fields
+from .reading_at_prior import Posterior, ReadingAtPrior, info_fields
 
 _LOOKED_AT, _FEW = 512, 8.0  # points of a prior that a posterior is looked for at, and of those it may have
 #: Standard deviations that each point from which states explaining a reading are looked for stands for: one
@@ -38,9 +39,9 @@ def by_family(
         raise PropagationError(
             "one family does not hold this density, which has no smooth logarithm; use another scheme"
         )
-    closed = _kalman(density, asked, degree)
+    closed = by_kalman(density, asked, degree, n_particles)
     if closed is not None:
-        return _in_closed_form(density, asked, *closed, n_particles)
+        return *closed, 0.0
     prior, misfit = family_of(density, degree)
     found = family_posterior(prior, asked.weight_on(density.domain), _linearised(density, asked))
     missed, of_evidence = 0.0, found.evidence_apart
@@ -65,34 +66,27 @@ def by_family(
     return new.noted(error=error, defect=defect, rough=defect.rough(found.family)), said, added
 
 
-def _in_closed_form(
-    density: ParticleDensity, asked: ReadingAtPrior, found: Family, log_evidence: float, n_particles: int
-) -> tuple[ParticleDensity, dict[str, Any], float]:
-    """A Gaussian posterior, which a linear sensor leaves of a Gaussian; it adds no error."""
-    new = family_density(density, found, capacity=n_particles, gaussian=True)
-    left = shift_left_by_update(density.cov(), new.cov(), True) if density.error else 0.0  # of nothing
-    error = left * density.error
-    said = info_fields(asked, "family", log_evidence, error, evidence_error_of(density, new))
-    return new.noted(error=error), said | {"residual": 0.0}, 0.0
-
-
-def _kalman(density: ParticleDensity, asked: ReadingAtPrior, degree: int) -> tuple[Family, float] | None:
-    """A Gaussian times the likelihood of a linear sensor, and the log-evidence; None where there is none."""
+def by_kalman(
+    density: ParticleDensity, asked: ReadingAtPrior, degree: int, n_particles: int
+) -> Posterior | None:
+    """A Gaussian times the likelihood of a linear sensor, which adds no error; None where there is none."""
     if not (density.gaussian and density.domain is None and asked.linear and is_gaussian(asked.measurement)):
         return None
-    evidence = asked.gaussian_evidence
     assert asked.measurement.H is not None and asked.innovation is not None
-    assert asked.S is not None and asked.cross is not None
     H, R = asked.measurement.H[asked.seen], block(asked.measurement.noise_cov, asked.seen)
     mean, cov = moments_on_line(density)
-    gain = np.linalg.solve(asked.S, asked.cross.T).T
-    rest = np.eye(len(mean)) - gain @ H
-    cov = rest @ cov @ rest.T + gain @ R @ gain.T  # Joseph's, which stays definite however sharp the sensor
+    (x,), (P,), (log_evidence,) = conditioned(mean[None], cov[None], asked.innovation[None], H, R)
+    if not math.isfinite(log_evidence):
+        return None
     try:
-        found = gaussian_family(mean + gain @ asked.innovation, 0.5 * (cov + cov.T), degree)
+        found = gaussian_family(x, P, degree)
     except np.linalg.LinAlgError:
         return None
-    return (found, evidence) if math.isfinite(evidence) else None
+    new = family_density(density, found, capacity=n_particles, gaussian=True)
+    left = shift_left_by_update(cov, P, True) if density.error else 0.0  # of nothing
+    error = left * density.error
+    said = info_fields(asked, "family", float(log_evidence), error, evidence_error_of(density, new))
+    return new.noted(error=error), said | {"residual": 0.0}
 
 
 def _errors_beyond_nodes(

@@ -17,7 +17,7 @@ from ..lattice.resolved import MOST
 from ..prediction.ladder import becomes_cloud, best_family, first_degree, prefers_cloud
 from ..prediction.to_target import ORDER
 from .by_cloud import by_cloud
-from .by_family import by_family
+from .by_family import by_family, by_kalman
 from .by_lattice import by_lattice
 from .by_pieces import by_pieces
 from .inherited import left_by_update, shift_left_by_update
@@ -32,12 +32,14 @@ def by_ladder(
     Where a lattice had to be taken, the posterior comes down to one family again if that holds it.
     """
     needs = (density.needs or Memory())._replace(legs=0)
-    walled = density.walls[0].size > 0
-    by_cloud = density.form.cell is None and not walled and prefers_cloud(density.dim, needs, target)
     if density.pieces is not None and asked.linear:
         return _on_pieces(density, asked, target, needs)
-    exact = asked.linear and density.gaussian
-    if density.read_out == "cloud" or (by_cloud and not exact and becomes_cloud(density.dim, needs, target)):
+    exact = _in_closed_form(density, asked, target, needs)
+    if exact is not None:
+        return exact
+    walled = density.walls[0].size > 0
+    by_cloud = density.form.cell is None and not walled and prefers_cloud(density.dim, needs, target)
+    if density.read_out == "cloud" or (by_cloud and becomes_cloud(density.dim, needs, target)):
         return _on_cloud(density, asked, target, config, needs)
     found = _on_family(density, asked, target, needs)
     if found is not None and by_cloud and found[1]["error"] > tolerated_excess(density.dim) * target:
@@ -54,6 +56,19 @@ def by_ladder(
     return new.noted(needs=needs), _flagged_if_missed(said | {"error": new.error}, target)
 
 
+def _in_closed_form(
+    density: ParticleDensity, asked: ReadingAtPrior, target: float, needs: Memory
+) -> Posterior | None:
+    """The posterior by Kalman's rule, of however many states; None where that does not hold."""
+    if not density.gaussian or density.form.degree == 0:
+        return None
+    degree = first_degree(density.dim, needs) or 2
+    found = by_kalman(density, asked, degree, density.capacity or 0)
+    if found is None:
+        return None
+    return found[0].noted(needs=needs.followed(degree)), _flagged_if_missed(found[1], target)
+
+
 def _on_family(
     density: ParticleDensity, asked: ReadingAtPrior, target: float, needs: Memory
 ) -> Posterior | None:
@@ -67,7 +82,6 @@ def _on_family(
         return (new, said), added
 
     first = max(first_degree(density.dim, needs), 0 if density.gaussian else own)
-    first = first or (2 if density.gaussian and asked.linear else 0)  # Kalman's rule, of however many states
     best = best_family(density.dim, error_budget(density.error, target), first, updated)
     if best is None:
         return None

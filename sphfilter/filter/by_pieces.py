@@ -2,10 +2,9 @@
 
 import math
 
-import numpy as np
 from scipy.special import logsumexp
 
-from ..core.limits import LOG_2_PI
+from ..core.kalman import conditioned
 from ..density.as_family import pieces_density
 from ..density.memory import error_budget
 from ..density.merging import OF_CHANGE, merged
@@ -27,14 +26,9 @@ def by_pieces(density: ParticleDensity, asked: ReadingAtPrior, target: float) ->
     assert prior is not None and is_gaussian(sensor) and sensor.H is not None
     off = sensor.residual(asked.numbers, sensor.predict(prior.mean, density.t))[:, asked.seen]
     H, R = sensor.H[asked.seen], block(sensor.noise_cov, asked.seen)
-    cross = prior.cov @ H.T
-    S = H @ cross + R
-    gain = np.linalg.solve(S, cross.transpose(0, 2, 1)).transpose(0, 2, 1)
-    kept = np.eye(prior.mean.shape[1]) - gain @ H
-    cov = kept @ prior.cov @ kept.transpose(0, 2, 1) + gain @ R @ gain.transpose(0, 2, 1)
-    squares = np.einsum("ka,ka->k", off, np.linalg.solve(S, off[..., None])[..., 0])
-    log_w = prior.log_w - 0.5 * (squares + np.linalg.slogdet(S)[1] + len(R) * LOG_2_PI)
-    found = Pieces(log_w, prior.mean + np.einsum("kab,kb->ka", gain, off), root_of(cov))
+    mean, cov, log_p = conditioned(prior.mean, prior.cov, off, H, R)
+    log_w = prior.log_w + log_p
+    found = Pieces(log_w, mean, root_of(cov))
     found = found.some(found.heavy(_LIGHT)).normalised()
     pieces, change = merged(found, error_budget(density.error, target) / OF_CHANGE)
     new = pieces_density(density, pieces)

@@ -7,8 +7,9 @@ from numpy.typing import ArrayLike
 
 from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig
+from ..core.kalman import log_normal
 from ..core.limits import STEP, TINY
-from ..density.moments import moments, whitener
+from ..density.moments import moments
 from ..density.particle_density import ParticleDensity
 from ..errors import ModelError
 from ..info import DOUBTFUL, Code, may_be_off
@@ -104,7 +105,7 @@ class ReadingAtPrior(NamedTuple):
         """A sentence where the reading lies far outside of what was predicted; else empty."""
         if self.innovation is None or self.S is None:
             return ""
-        distance = float(np.linalg.norm(whitener(self.S) @ self.innovation))
+        distance = log_normal(self.innovation, self.S)[1]
         if not distance > OUTLYING:
             return ""
         return f"outlying measurement: {distance:.1f} sigma from its prediction"
@@ -113,8 +114,7 @@ class ReadingAtPrior(NamedTuple):
     def gaussian_evidence(self) -> float:
         """Log-evidence where the particles end and a sum over them knows nothing: by the prior's moments."""
         assert self.innovation is not None and self.S is not None
-        squares = self.innovation @ np.linalg.solve(self.S, self.innovation)
-        return -0.5 * float(squares + np.linalg.slogdet(2.0 * np.pi * self.S)[1])
+        return log_normal(self.innovation, self.S)[0]
 
 
 def _innovation(

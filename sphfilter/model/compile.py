@@ -215,6 +215,11 @@ def _compile_one(function: Any, arguments: Sequence[str], name: str) -> tuple[An
     """Return the compiled function of one state and the numba type it returns."""
     signature = tuple(types.float64 if argument == "t" else types.float64[::1] for argument in arguments)
     own: Any = (lambda x: function(x)) if isinstance(function, np.ufunc) else function
+    if not (inspect.isfunction(own) or hasattr(own, "py_func")):
+        raise ModelError(
+            f"{name} is a {type(own).__name__}, which numba does not compile: give a function of one state, "
+            "whose data are parameters=, or one of many states (rows) with vectorized=True."
+        )
     try:
         core = own if hasattr(own, "py_func") else njit(own, error_model="numpy")
         core.compile(signature)

@@ -97,6 +97,13 @@ def unknown(x, t):
     return np.linalg.no_such_function(x)
 
 
+class Bound:
+    """What has a drift that is no function."""
+
+    def method(self, x, t):
+        return (-x[0],)
+
+
 WALLS = [("bounded", -6.0, 6.0)]
 FLAT = sf.SDE.from_expressions(["x", "y"], ["-40*x", "-y"], [["0"], ["1"]])
 STEEP = sf.LogDensityScheme(max_steps=1)
@@ -200,6 +207,7 @@ SAID = [
     lambda: laid(sf.Gaussian(np.zeros(13), np.eye(13)), "auto"),
     lambda: laid(ROUND, 4),
     lambda: sf.SDE(unknown, 1, [[1.0]]),
+    lambda: sf.SDE(Bound().method, 1, [[1.0]]),
     lambda: sf.SDE(silent, 1, [[1.0]]),
     lambda: sf.SDE(beyond, 1, [[1.0]]),
     lambda: line("y"),
@@ -217,6 +225,9 @@ SAID = [
     lambda: filtering().update([1.0], unknown, unknown),
     lambda: sf.SPHFilter(wells(), POSITION),
     lambda: sf.SPHFilter.load("no_such_file.npz", wells(), POSITION),
+    lambda: filtering().save("no_such_folder/filter.npz"),
+    lambda: laid(sf.Gaussian([20.0], [[0.01]]), domain=WALLS),
+    lambda: laid().probability(lambda X: 2.0 * X[:, 0]),
     lambda: sf.simulate(line("-x"), None, [0.0], [0.0, 1.0], rng="seed"),
     lambda: sf.propagate(laid(), line("-x"), [2.0, 1.0]),
     lambda: switched(100.0, 0.01, 1.0, [50.0]),

@@ -392,6 +392,8 @@ def test_questions_that_have_no_answer(gaussians):
         (lambda: density.quantile(0, [0.5, np.nan]), "between 0 and 1"),
         (lambda: density.hpd_region(1.0), "between 0 and 1"),
         (lambda: density.entropy("mixtures"), "mixture"),
+        (lambda: density.probability(lambda X: X[:, 0]), "a region returns booleans"),
+        (lambda: density.sample(-3), "size must be a whole number"),
     ]:
         with pytest.raises(sf.ModelError, match=message):
             question()

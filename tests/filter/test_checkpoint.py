@@ -89,6 +89,22 @@ def test_files_that_hold_no_filter(tmp_path):
         sf.SPHFilter.load(path, DUFFING, both)
 
 
+def test_what_was_saved_stays_where_the_next_is_not_written_to_its_end(tmp_path, monkeypatch):
+    path, flt = tmp_path / "filter.npz", made()
+    flt.save(path)
+    before = path.read_bytes()
+
+    def full(file, **arrays):
+        file.write(b"half of it")
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.raises(OSError, match="no space left"):
+        flt.save(path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_a_filter_is_read_without_its_sensor_and_by_subclasses_without_dt(tmp_path):
     class Plain(sf.SPHFilter):
         def __init__(self, model, measurement, *, density, n_particles, config):

@@ -12,7 +12,7 @@ import numpy as np
 from .._jit import jit
 from ..elementary import FAST
 from ..limits import LARGEST_EXPONENT, LOG_2_PI
-from ..small_matrices import cholesky, invert_lower, whiten
+from ..small_matrices import cholesky, invert_lower, solve_factored
 from ..sums import summed
 from .blocks import add_products, end_of_block, multiplied, products, squares
 from .noise import even_normals, uniform
@@ -189,7 +189,7 @@ def residuals(z, h, angle):
 def _gain(HL, R, S, K, T):
     """Fill S = HL HLᵀ + R, K = HLᵀ S⁻¹ (n, k) and T with T Tᵀ = I - K HL; False where there is none."""
     k, n = HL.shape
-    F, column, rest = np.empty((k, k)), np.empty(k), np.empty((n, n))
+    F, rest = np.empty((k, k)), np.empty((n, n))
     for a in range(k):
         for e in range(k):
             s = R[a, e]
@@ -200,13 +200,8 @@ def _gain(HL, R, S, K, T):
         return False
     for c in range(n):
         for a in range(k):
-            column[a] = HL[a, c]
-        whiten(F, column)
-        for a in range(k - 1, -1, -1):
-            s = column[a]
-            for e in range(a + 1, k):
-                s -= F[e, a] * K[c, e]
-            K[c, a] = s / F[a, a]
+            K[c, a] = HL[a, c]
+        solve_factored(F, K[c])
     for a in range(n):
         for e in range(n):
             s = 1.0 if a == e else 0.0
