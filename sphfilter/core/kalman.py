@@ -6,7 +6,7 @@ import numpy as np
 
 from ._jit import jit
 from .limits import LOG_2_PI
-from .small_matrices import cholesky, solve_factored, whiten
+from .small_matrices import add_squared, cholesky, whiten
 
 
 @jit
@@ -31,53 +31,48 @@ def conditioned(mean, cov, off, H, R):
     """Gaussians after a reading of H x (k, n) with a noise of covariance R (k, k): Kalman's rule.
 
     Before it they have means (K, n) and covariances (K, n, n); what was read is off (K, k) from what each
-    would read. Covariances are Joseph's, which stay definite however sharp the sensor. Returns means and
-    covariances, and log-densities (K,) of the reading, NaN of a Gaussian that has no such.
+    would read. Components of the reading, made independent, come one after the other: covariances stay
+    definite however sharp a sensor is, and however alike its components. Returns means and covariances, and
+    log-densities (K,) of the reading, NaN where R has no root.
     """
+    x, P, off, h = mean.copy(), cov.copy(), off.copy(), H.T.copy()
     (K, n), k = mean.shape, len(R)
-    x, P, log_p = mean.copy(), np.zeros(cov.shape), np.empty(K)
-    S, F, gain = np.empty((k, k)), np.empty((k, k)), np.empty((n, k))
-    rest, half = np.empty((n, n)), np.empty((n, n))
+    log_p, F, room = np.empty(K), np.empty((k, k)), (np.empty(n), np.empty((3, n, n)))
+    log_peak = -0.5 * LOG_2_PI * k if cholesky(R, F) else np.nan
+    for c in range(k):
+        log_peak -= math.log(F[c, c])
+    for b in range(n):
+        whiten(F, h[b])
     for j in range(K):
-        for a in range(n):
-            for c in range(k):
-                gain[a, c] = 0.0
-                for b in range(n):
-                    gain[a, c] += cov[j, a, b] * H[c, b]
+        whiten(F, off[j])
+        log_p[j] = log_peak
         for c in range(k):
-            for d in range(k):
-                S[c, d] = R[c, d]
-                for a in range(n):
-                    S[c, d] += H[c, a] * gain[a, d]
-        log_p[j] = log_normal(off[j], S)[0]
-        if not cholesky(S, F):
-            continue
-        for a in range(n):
-            solve_factored(F, gain[a])
-            for c in range(k):
-                x[j, a] += gain[a, c] * off[j, c]
-        for a in range(n):
-            for b in range(n):
-                rest[a, b] = 1.0 if a == b else 0.0
-                for c in range(k):
-                    rest[a, b] -= gain[a, c] * H[c, b]
-        _add_squared(rest, cov[j], half, P[j])
-        _add_squared(gain, R, np.empty((n, k)), P[j])
+            log_p[j] += _read(x[j], P[j], off[j], h, c, room)
     return x, P, log_p
 
 
 @jit
-def _add_squared(A, C, half, P):
-    """P <- P + A C Aᵀ, A (n, m) and C (m, m), to the bit symmetric; half (n, m) is scratch."""
-    n, m = A.shape
+def _read(x, P, off, h, c, room):
+    """Change a Gaussian's mean (n,) and covariance (n, n) by component c of a reading, whose noise is one.
+
+    What is off (k,) of later components of h (n, k) changes with it. Returns the logarithm of the density of
+    the component, but for a constant. The covariance is Joseph's.
+    """
+    gain, (rest, before, half) = room
+    s, n, d = 1.0, x.size, off[c]
     for a in range(n):
-        for c in range(m):
-            half[a, c] = 0.0
-            for b in range(m):
-                half[a, c] += A[a, b] * C[b, c]
-        for e in range(a + 1):
-            s = 0.0
-            for c in range(m):
-                s += half[a, c] * A[e, c]
-            P[a, e] += s
-            P[e, a] = P[a, e]
+        gain[a] = 0.0
+        for b in range(n):
+            gain[a] += P[a, b] * h[b, c]
+        s += h[a, c] * gain[a]
+    for a in range(n):
+        gain[a] /= s
+        x[a] += gain[a] * d
+        for e in range(c + 1, off.size):
+            off[e] -= h[a, e] * gain[a] * d
+    for a in range(n):
+        for b in range(n):
+            rest[a, b] = (1.0 if a == b else 0.0) - gain[a] * h[b, c]
+            before[a, b], P[a, b] = P[a, b], gain[a] * gain[b]
+    add_squared(rest, before, half, P)
+    return -0.5 * (d * d / s + math.log(s))

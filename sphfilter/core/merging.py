@@ -32,7 +32,7 @@ def merge(log_w, m, L, most, near, nodes, u):
     pair = np.empty((2 * K * _NEIGHBOURS, 2), np.int64)
     cost, owed = np.empty(len(pair)), np.empty(len(pair))
     total, known, first, count = _log_sum(log_w[:K]), 0, 0, K
-    scratch = np.empty((2, n, n)), np.empty((2, n)), np.empty((3, u.size))
+    scratch, rule = (np.empty((n, n)), np.empty((3, u.size))), (nodes, u, 0.5 * (nodes * nodes).sum(axis=0))
     while count > first:
         for k in range(first, count):
             alive[k], inverse[k] = True, invert_lower(L[k])
@@ -40,7 +40,7 @@ def merge(log_w, m, L, most, near, nodes, u):
         for p in range(known, last):
             i, j = pair[p]
             new = _joined(log_w, m, L, i, j, m[count], L[count])
-            change = _change(log_w, m, inverse, (i, j), (new, m[count], L[count]), nodes, u, scratch)
+            change = _change(log_w, m, inverse, (i, j), (new, m[count], L[count]), rule, scratch)
             owed[p] = change + math.exp(log_w[i] - new) * debt[i] + math.exp(log_w[j] - new) * debt[j]
             cost[p] = owed[p] / max(1.0, math.sqrt(_LIGHT / math.exp(new - total)))
         first, order = count, np.argsort(cost[:last], kind="mergesort")
@@ -95,7 +95,7 @@ def _with_neighbours(m, L, inverse, alive, new, near, pair, known):
         for j in range(count):
             if j == k or not alive[j]:
                 continue
-            apart = _squared(inverse[k], m[j], m[k], z)
+            apart = _squared(inverse[k], m[j], m[k], near * near, z)
             if not apart < near * near:
                 continue
             apart += _wider(inverse[k], L[j])
@@ -123,16 +123,14 @@ def _has(pair, begun, known, i, j):
 
 
 @jit
-def _squared(inverse, x, middle, z):
-    """Square of how far a state (n,) is from a middle, in widths; z (n,) is scratch."""
-    s = 0.0
-    for a in range(z.size):
-        z[a] = x[a] - middle[a]
-    for a in range(z.size):
-        y = 0.0
+def _squared(inverse, x, middle, most, z):
+    """Square of how far a state (n,) is from a middle, in widths, or more than `most`; z (n,) is scratch."""
+    s, a = 0.0, 0
+    while a < z.size and s < most:
+        z[a], y = x[a] - middle[a], 0.0
         for b in range(a + 1):
             y += inverse[a, b] * z[b]
-        s += y * y
+        s, a = s + y * y, a + 1
     return s
 
 
@@ -173,35 +171,42 @@ def _joined(log_w, m, L, i, j, mean, root):
 
 
 @jit
-def _change(log_w, m, inverse, pair, one, nodes, u, scratch):
+def _change(log_w, m, inverse, pair, one, rule, scratch):
     """Rms over one Gaussian of what log p changes by where it takes the place of a pair.
 
-    It is the logarithm of its weight, its mean and its root.
+    It is the logarithm of its weight, its mean and its root; the rule has nodes (n, N), weights and halves of
+    the squares (N,) of the nodes.
     """
-    (turned, off, logs), (new, mean, root), (n, N) = scratch, one, nodes.shape
-    logs[2] = 0.0
-    for a in range(n):
-        logs[2] -= math.log(root[a, a])
-        for i in range(N):
-            logs[2, i] -= 0.5 * nodes[a, i] * nodes[a, i]
+    (turned, logs), (new, mean, root), (nodes, u, half) = scratch, one, rule
+    square, peak, N = 0.0, 0.0, u.size
+    for a in range(mean.size):
+        peak -= math.log(root[a, a])
     for s in range(2):
         k = pair[s]
-        product(inverse[k], root, 1.0, turned[s])
-        logs[s] = log_w[k] - new
-        for a in range(n):
-            off[s, a] = 0.0
-            for b in range(a + 1):
-                off[s, a] += inverse[k, a, b] * (mean[b] - m[k, b])
-        for a in range(n):
-            logs[s] += math.log(inverse[k, a, a])
-            for i in range(N):
-                z = off[s, a]
-                for b in range(a + 1):
-                    z += turned[s, a, b] * nodes[b, i]
-                logs[s, i] -= 0.5 * z * z
-    square = 0.0
+        product(inverse[k], root, 1.0, turned)
+        _log_normals(inverse[k], m[k], log_w[k] - new, mean, turned, nodes, logs[s], logs[2])
     for i in range(N):
         low, high = min(logs[0, i], logs[1, i]), max(logs[0, i], logs[1, i])
-        change = high + FAST.log(1.0 + FAST.exp(low - high)) - logs[2, i]
+        change = high + FAST.log(1.0 + FAST.exp(low - high)) - (peak - half[i])
         square += u[i] * change * change
     return math.sqrt(square)
+
+
+@jit
+def _log_normals(inverse, middle, log_w, mean, turned, nodes, out, y):
+    """Fill logarithms (N,) of a Gaussian, but for a constant, at the nodes about a mean that are `turned`.
+
+    Its middle is (n,), the inverse of its root (n, n), that of its weight is given; y (N,) is scratch.
+    """
+    out[:] = log_w
+    for a in range(mean.size):
+        off, peak = 0.0, math.log(inverse[a, a])
+        for b in range(a + 1):
+            off += inverse[a, b] * (mean[b] - middle[b])
+        y[:] = off
+        for b in range(a + 1):
+            on, own = turned[a, b], nodes[b]
+            for i in range(y.size):
+                y[i] += on * own[i]
+        for i in range(y.size):
+            out[i] += peak - 0.5 * y[i] * y[i]

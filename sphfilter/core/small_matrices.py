@@ -139,11 +139,14 @@ def product(A, B, factor, out):
 
 
 @jit
-def add_carried(M, P, scratch):
-    """P <- P + M P Mᵀ, all (n, n)."""
+def add_squared(M, C, scratch, P):
+    """P <- P + M C Mᵀ, all (n, n), to the bit symmetric if P is."""
     n = P.shape[0]
-    product(M, P, 1.0, scratch)
+    product(M, C, 1.0, scratch)
     for a in range(n):
-        for b in range(n):
+        for b in range(a + 1):
+            s = 0.0
             for c in range(n):
-                P[a, b] += scratch[a, c] * M[b, c]
+                s += scratch[a, c] * M[b, c]
+            P[a, b] += s
+            P[b, a] = P[a, b]

@@ -7,7 +7,7 @@ import numpy as np
 
 from .._jit import jit
 from ..limits import LOOK, ROUNDING, TINY
-from ..small_matrices import add_carried, product
+from ..small_matrices import add_squared, product
 from ..step_control import HELPED, MORE
 from .control import SHADOW, STEPS_ORDER, WRONG, over_allowed
 from .curve import along_curve
@@ -249,14 +249,14 @@ def wider(coarse, fine, x, ends):
     about = x[size // 2 : groups * size : size].copy()
     (_, wrong), (M, P) = one_step(coarse, end, about, width), one_step(fine, end, about, width)
     for g in range(groups):
-        add_carried(M[g], P[g], scratch)  # two of the fine steps
+        add_squared(M[g], P[g], scratch, P[g])  # two of the fine steps
         wrong[g] -= P[g]
         steps, more = 1, True
         while steps < coarse.steps and more:
             product(M[g], M[g], 1.0, scratch)
             M[g] = scratch
-            add_carried(M[g], wrong[g], scratch)
-            add_carried(M[g], P[g], scratch)
+            add_squared(M[g], wrong[g], scratch, wrong[g])
+            add_squared(M[g], P[g], scratch, P[g])
             steps *= 2
             for a in range(n):
                 more &= P[g, a, a] <= width[g, a] ** 2  # else it has all that there is
