@@ -140,11 +140,10 @@ def _linearised(density: ParticleDensity, asked: ReadingAtPrior) -> tuple[Floats
     """Mean and a factor of the covariance by statistical linearisation; None without a Gaussian sensor."""
     if asked.innovation is None or asked.S is None or asked.cross is None:
         return None
-    gain = np.linalg.solve(asked.S, asked.cross.T).T
     mean, cov = moments_on_line(density)
-    cov = cov - gain @ asked.cross.T
-    cov = 0.5 * (cov + cov.T)
     try:
-        return mean + gain @ asked.innovation, np.asarray(np.linalg.cholesky(cov), np.float64)
-    except np.linalg.LinAlgError:
+        gain = np.linalg.solve(asked.S, asked.cross.T).T
+        cov = cov - gain @ asked.cross.T
+        return mean + gain @ asked.innovation, np.asarray(np.linalg.cholesky(0.5 * (cov + cov.T)), np.float64)
+    except np.linalg.LinAlgError:  # a sensor as sharp as rounding
         return None
