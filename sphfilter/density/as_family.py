@@ -50,7 +50,7 @@ def moments_on_line(density: ParticleDensity) -> tuple[Floats, Floats]:
 
 def gaussians_of(density: ParticleDensity) -> Pieces | None:
     """Gaussians that a density is known to be the sum of, one or more; None of others, or in a domain."""
-    one = density.family is not None and density.gaussian and density.domain is None
+    one = density.form.degree > 0 and density.gaussian and density.domain is None
     return pieces_of(*moments_on_line(density)) if one else density.pieces
 
 

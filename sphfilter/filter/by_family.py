@@ -34,7 +34,7 @@ def by_family(
 
     Raises `PropagationError` if no family holds it, or the error of that would be above `most`.
     """
-    if density.read_out == "cloud" or density.walls[0].size:
+    if density.form.own_points or density.walls[0].size:
         raise PropagationError(
             "one family does not hold this density, which has no smooth logarithm; use another scheme"
         )

@@ -37,7 +37,7 @@ def by_ladder(
     if density.pieces is not None and asked.linear:
         return _on_pieces(density, asked, target, needs)
     exact = asked.linear and density.gaussian
-    if density.read_out == "cloud" or (by_cloud and not exact and becomes_cloud(density.dim, needs, target)):
+    if density.form.own_points or (by_cloud and not exact and becomes_cloud(density.dim, needs, target)):
         return _on_cloud(density, asked, target, config, needs)
     found = _on_family(density, asked, target, needs)
     if found is not None and by_cloud and found[1]["error"] > tolerated_excess(density.dim) * target:

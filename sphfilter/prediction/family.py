@@ -45,7 +45,7 @@ def why_not(model: SDE, density: ParticleDensity) -> str:
     """Can one family carry the density? Returns a reason why not, empty if it can."""
     if model.domain.walled.any() or density.walls[0].size:
         return "an axis ends, and polynomials do not"
-    if density.field is None and density.family is None:
+    if density.form.cell is None and density.form.degree == 0:
         return "the density has no smooth logarithm"
     return ""
 

@@ -92,7 +92,7 @@ def why_not(model: SDE, density: ParticleDensity, n_particles: int) -> str:
         reason = _held_by_walls(model, density)
         if reason:
             return reason
-    if density.field is None:
+    if density.form.cell is None:
         return "the density has no smooth logarithm"
     if n_particles < fewest_particles(model.dim):
         return f"{n_particles} particles are too few for a lattice of {model.dim} states"

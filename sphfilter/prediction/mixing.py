@@ -85,7 +85,7 @@ def mixed(parts: Sequence[Part], target: float, errors: Allowed) -> ParticleDens
         return found
     needs = first.needs
     as_points = needs is not None and first.domain is None and prefers_cloud(first.dim, needs, target)
-    if not as_points and all(part.density.read_out != "cloud" for part in parts):
+    if not (as_points or any(part.density.form.own_points for part in parts)):
         with suppress(PropagationError, np.linalg.LinAlgError):
             return _on_lattice(parts, first, errors.by_lattice)
     return _as_cloud(parts, first, target)

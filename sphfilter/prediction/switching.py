@@ -129,7 +129,7 @@ def points_of_modes(modes: ModeDensities, target: float) -> int:
 
 def goes_as_points(modes: ModeDensities) -> bool:
     """Whether a density goes as points."""
-    return any(density.read_out == "cloud" for _, _, density in modes.some)
+    return any(density.form.own_points for _, _, density in modes.some)
 
 
 def _in_turn(
