@@ -240,7 +240,7 @@ def _on_more_points(
             prior, posterior, info = _again(prediction, start, measurement, z, config, asked)
         except PropagationError:  # what there is already is better than none
             break
-        grown, better = posterior.cloud is not None, info.error < best[2].error
+        grown, better = bool(posterior.form.own_points), info.error < best[2].error
         if not grown and not better and asked < target:  # for so much less, a lattice was taken for cheaper
             (prior, posterior, info), finer = best, False
             continue

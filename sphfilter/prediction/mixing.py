@@ -18,13 +18,7 @@ from ..core.family.rules import degrees
 from ..core.limits import LITTLE
 from ..core.step_control import HELPED
 from ..density.as_cloud import cloud_density
-from ..density.as_family import (
-    as_polynomials,
-    family_density,
-    gaussians_of,
-    moments_on_line,
-    pieces_density,
-)
+from ..density.as_family import as_polynomials, family_density, gaussians_of, moments_on_line, pieces_density
 from ..density.defect import Defect, defect_of
 from ..density.family import HIGHEST, OF_MISFIT, fitted, moments_apart, node_moments
 from ..density.memory import Memory
@@ -42,7 +36,6 @@ from ..lattice.resolved import MOST
 from .ladder import first_degree, prefers_cloud
 
 _AWAY = 3.0  # standard deviations at which what is lost may lie: 2 Φ(-3) = .003 of a Gaussian lies beyond
-_CHANGE = 1.0 / OF_CHANGE  # times the aim, that mergers may change log p by: OF_CHANGE _CHANGE = 1
 _MOMENTS = ParticleDensity.mean, ParticleDensity.cov
 _MOST_PIECES, _COARSER = 200, 5  # of a sum, and times that it may change more until it has no more
 _TRIES, _FINER = 6, 2  # lattices, and times the nodes of the one before
@@ -107,10 +100,8 @@ def _joined(parts: Sequence[Part]) -> list[Part]:
 
 def _same(one: ParticleDensity, other: ParticleDensity) -> bool:
     """Are two densities the same to the last bit, as those of equal modes are?"""
-    if one is other:
-        return True
-    pairs = ((one.x, other.x), (one.mass, other.mass), (one.h, other.h))
-    return one.read_out == other.read_out and all(np.array_equal(a, b) for a, b in pairs)
+    names = ("x", "mass", "h")
+    return one is other or all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
 
 
 def _heavy(parts: list[Part], allowed: float) -> tuple[list[Part], float]:
@@ -151,7 +142,7 @@ def _as_pieces(parts: Sequence[Part], about: ParticleDensity, errors: Allowed) -
     union = Pieces(*(np.concatenate(part) for part in zip(*several, strict=True))).normalised()
     kept = union.heavy(LITTLE * errors.by_mergers, _AWAY)
     lost = float(union.w[~kept].sum())
-    pieces, change = _few(union.some(kept).normalised(), _CHANGE * errors.by_mergers, errors.reach)
+    pieces, change = _few(union.some(kept).normalised(), errors.by_mergers / OF_CHANGE, errors.reach)
     error = math.hypot(about.error, OF_CHANGE * change, _AWAY * lost)
     return pieces_density(about, pieces, error=error).noted(needs=about.needs)
 
