@@ -32,7 +32,6 @@ _LOOKED_AT, _FEW = 512, 8.0  # points of a prior that a posterior is looked for 
 #: d deviations off widens a variance, s² of the prior's, by exp(-d² / 2) (d / s)², by .1 at d = 3.5, s = .5.
 _APART = 2.5
 _MORE, _NEGLIGIBLE = 2.0, 9.0  # in logarithms: of a posterior over its family, and below its peak
-_LOST = 1e3  # an error that is as bad as any
 _SETTLED, _ROUNDS = 1e-3, 8  # of the moments in the frame; rounds
 _LEAST, _MOST, _STEP = 0.05, 4.0, 3.0  # variances, and shift, that one round goes to
 #: Times and part of the frame, in which nodes are looked at once more: both rules miss two modes alike. Of
@@ -147,7 +146,8 @@ def _errors_beyond_nodes(
     y = (X - own_mean) @ root.T
     with np.errstate(over="ignore", invalid="ignore"):  # of a family that is nowhere near
         apart = moments_apart(off @ y, (y * off[:, None]).T @ y - off.sum() * np.eye(len(cov)))
-    return min(math.hypot(apart, elsewhere), _LOST), min(abs(float(off.sum())), _LOST)
+    worst = 1e3  # an error that is as bad as any
+    return min(math.hypot(apart, elsewhere), worst), min(abs(float(off.sum())), worst)
 
 
 def _moments(family: Family) -> tuple[Floats, Floats]:

@@ -25,7 +25,6 @@ from ._shared import Predicted, blow_up, skip_notes
 from .time_slices import drift_slices, noise_samples
 
 _OF_STEPS = 0.3  # part of the errors of the steps, that errors are estimated by
-_LOST = 1.0  # standard deviations that the mean may be off by
 _NOT_FOLLOWED = (
     "no polynomial of this degree follows the logarithm of the density; predict over a shorter interval, or "
     "use another scheme"
@@ -71,7 +70,7 @@ def carried_family(
     t1: float,
     scheme: FamilyScheme,
     n_particles: int,
-    most: float = _LOST,
+    most: float = 1.0,  # standard deviations that the mean may be off by
 ) -> Predicted:
     """Carry a density that fits as a family of a scheme's degree, whose steps may add an error of `most`."""
     n, degree = density.dim, scheme.degree

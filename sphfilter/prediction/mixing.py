@@ -38,7 +38,7 @@ from .ladder import first_degree, prefers_cloud
 _AWAY = 3.0  # standard deviations at which what is lost may lie: 2 Φ(-3) = .003 of a Gaussian lies beyond
 _MOMENTS = ParticleDensity.mean, ParticleDensity.cov
 _MOST_PIECES, _COARSER = 200, 5  # of a sum, and times that it may change more until it has no more
-_TRIES, _FINER = 6, 2  # lattices, and times the nodes of the one before
+_TRIES = 6  # lattices, each of twice the nodes of the one before
 _SEEDS = 1e-4  # of the heaviest node of a part: those by which a lattice finds all of its pieces
 
 
@@ -230,9 +230,9 @@ def _on_lattice(parts: Sequence[Part], about: ParticleDensity, allowed: float) -
         if added < before:
             best = added, off.residual, laid, nodes
         helped = added < HELPED * before
-        if added <= allowed or about.needs is None or not helped or _FINER * nodes > MOST:
+        if added <= allowed or about.needs is None or not helped or 2 * nodes > MOST:
             break
-        nodes *= _FINER
+        nodes *= 2
     added, residual, laid, nodes = best
     known: Any = {"residual": residual, "error": math.hypot(about.error, added), "lost": about.lost}
     new = ParticleDensity.on_lattice(laid, about.t, nodes, False, about.domain, **known)

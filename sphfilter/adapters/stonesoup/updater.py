@@ -50,9 +50,8 @@ from .association import (
 )
 from .failures import ON_FAILURE, OnFailure, merged, multiplied, said
 from .predictor import JumpMarkovPredictor, SPHPredictor
-from .recent import Recent
 from .sensors import predicted, reading_of, sensor_for, typed
-from .starts import current, started
+from .starts import Recent, current, started
 from .states import DensityState, JumpMarkovState, SPHState, Step, origin_of
 
 
