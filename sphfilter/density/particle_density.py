@@ -219,6 +219,11 @@ class ParticleDensity(Noted):
             f"std={row(np.sqrt(np.diag(self.cov())))}{domain})"
         )
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        from .storage import density_from, models_of, stored  # which knows this class
+
+        return density_from, (stored(self), models_of(self))  # without what can be made again
+
     def __deepcopy__(self, memo: dict[int, Any]) -> "ParticleDensity":
         return self  # nothing in it can be changed
 

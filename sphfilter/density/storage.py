@@ -1,6 +1,5 @@
 """Densities on disk: numpy arrays with a version, nothing that could run."""
 
-import copyreg
 import io
 import json
 import os
@@ -103,14 +102,6 @@ def density_from(arrays: Arrays, models: Sequence[Dynamics] = ()) -> ParticleDen
         return _points_of_families(part("families", arrays), about)
     about |= {name: arrays[name] for name in _ARRAYS if name in arrays}
     return ParticleDensity(**about)
-
-
-def _reduced(density: ParticleDensity) -> tuple[Any, ...]:
-    """What a pickle has of a density: without what can be made again."""
-    return density_from, (stored(density), models_of(density))
-
-
-copyreg.pickle(ParticleDensity, _reduced)
 
 
 def _needs_from(known: list[Any]) -> Memory:

@@ -150,10 +150,7 @@ def _given_up(model: SDE, y: Any, report: Report, start: float, t1: float) -> Pr
 
 
 def _info(model: SDE, report: Report, error: float, of_variance: float) -> PredictInfo:
-    code, status = Code.OK, "ok"
-    if error > DOUBTFUL:
-        code, status = Code.UNRESOLVED, may_be_off(error)
-    return PredictInfo(
+    info = PredictInfo(
         n_steps=report.steps,
         n_rejected=report.rejected,
         n_evaluations=report.evaluations,
@@ -162,9 +159,8 @@ def _info(model: SDE, report: Report, error: float, of_variance: float) -> Predi
         variance_error=of_variance,
         skipped=_skipped(model),
         scheme="family",
-        status=status,
-        code=code,
     )
+    return info.also(Code.UNRESOLVED, may_be_off(error)) if error > DOUBTFUL else info
 
 
 @lru_cache(maxsize=64)
