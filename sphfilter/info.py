@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields
 from enum import IntFlag, auto
 from functools import reduce
@@ -190,15 +190,25 @@ class PredictInfo(_Marked):
         return cls(
             **totals,
             skipped=tuple(dict.fromkeys(note for info in infos for note in info.skipped)),
-            scheme=", ".join(dict.fromkeys(info.scheme for info in infos)),
+            scheme=schemes_of(infos),
             status="; ".join({_NUMBER.sub("", sentence): sentence for sentence in said}.values()) or "ok",
-            code=reduce(or_, (info.code for info in infos), Code.OK),
+            code=codes_of(infos),
         )
 
     @property
     def bypass_ratio(self) -> float:
         """Bypassed steps per search (002 section 4.3)."""
         return self.n_bypassed / max(self.n_searches, 1)
+
+
+def codes_of(infos: Iterable[_Marked]) -> Code:
+    """All flags of several infos."""
+    return reduce(or_, (info.code for info in infos), Code.OK)
+
+
+def schemes_of(infos: Iterable[_Marked]) -> str:
+    """Schemes of several infos, without repetition."""
+    return ", ".join(dict.fromkeys(info.scheme for info in infos))
 
 
 _NUMBER = re.compile(r"\d+(\.\d+)?(e[+-]?\d+)?")

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from sphfilter.errors import ConfigError, nearest
-from sphfilter.files.tables import with_tables
+from sphfilter.files.model_file import with_tables
 from sphfilter.settings import from_table, read_toml
 
 from .files import change, file_names, find_file

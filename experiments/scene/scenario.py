@@ -10,7 +10,7 @@ import numpy as np
 import sphfilter as sf
 from sphfilter.campaign.campaign import Case
 from sphfilter.errors import SphfilterError
-from sphfilter.files.build import check_inputs, check_start, model_of, sensor_of, tables_of
+from sphfilter.files.read_model import check_inputs, check_start, model_of, sensor_of, tables_of
 from sphfilter.files.text import ModelText, Reads, Sensor, TableText
 from sphfilter.settings import settings
 

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from experiments.scene.files import change, file_names, find_file
 from sphfilter.config import SolverConfig
-from sphfilter.files.tables import with_tables
+from sphfilter.files.model_file import with_tables
 from sphfilter.files.text import Matrix, ModelText, Row
 from sphfilter.settings import Count, Positive, from_table, read_toml, settings
 

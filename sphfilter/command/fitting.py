@@ -9,8 +9,8 @@ from typing import Any
 import tomli_w
 
 from ..errors import ConfigError, nearest
+from ..files.model_file import with_tables
 from ..files.read_model import ModelOfFile, read_model
-from ..files.tables import with_tables
 from ..files.write import write_json
 from ..inference.estimation import ParameterFit, fit_parameters
 from ..settings import read_toml

@@ -159,13 +159,7 @@ def refresh(view, x, h):
 @jit
 def with_images(view, values):
     """Values (N,) of the particles, and of their images after them, shape (N + G,)."""
-    N = values.size
-    out = np.empty(N + view.owner.size)
-    for i in range(N):
-        out[i] = values[i]
-    for g in range(view.owner.size):
-        out[N + g] = values[view.owner[g]]
-    return out
+    return np.concatenate((values, values[view.owner]))
 
 
 @jit

@@ -26,7 +26,6 @@ OF_MISFIT = 0.5
 _NODES = {1: 200, 2: 1000, 3: 4000, 4: 12_000}  # of a lattice for questions, of four states and more the last
 HIGHEST = 6  # degree that is taken unless another is asked for
 ON_LATTICE = 2  # states up to which a lattice answers, and may come after one family
-_TURN = 0.6  # radians
 
 
 class Family(NamedTuple):
@@ -119,14 +118,14 @@ def moments_apart(shift: Floats, change: Floats) -> float:
 @cache
 def turned(n: int, degree: int) -> Basis:
     """The rule turned in every plane of two axes that follow one another; of one state, with a point more."""
-    rule, whole = basis(n, degree), np.eye(n)
+    rule, whole, turn = basis(n, degree), np.eye(n), 0.6  # radians
     if n == 1:
         more = basis(1, degree + 1)
         return _at(rule._replace(u=more.u, log_w=more.log_w), more.xi)
     for a in range(n - 1):
         plane = np.eye(n)
-        plane[a, a] = plane[a + 1, a + 1] = math.cos(_TURN)
-        plane[a, a + 1], plane[a + 1, a] = -math.sin(_TURN), math.sin(_TURN)
+        plane[a, a] = plane[a + 1, a + 1] = math.cos(turn)
+        plane[a, a + 1], plane[a + 1, a] = -math.sin(turn), math.sin(turn)
         whole = whole @ plane
     return _at(rule, np.ascontiguousarray(rule.xi @ whole.T))
 

@@ -42,6 +42,10 @@ class Folded(Shape):
         alone = self.shape.atoms and self._seen.atoms
         return alone and (self.domain.fold(alone[0]), alone[1])
 
+    @property
+    def cells(self) -> Floats | None:
+        return None if self.cell is None else self._seen.cells
+
     def nodes(self, n_particles: int) -> int:
         return self.shape.nodes(n_particles)
 

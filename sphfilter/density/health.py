@@ -127,7 +127,7 @@ def _as_kernels_see(density: ParticleDensity) -> tuple[Floats, Floats, Floats]:
     """States, masses and supports of the particles, and after them of their images beyond ends."""
     x, mass, h = density.x, density.mass, density.h
     K = density.sph_kernel.radius
-    if density.read_out in ("points", "mixture"):
+    if not (density.form.smooth or density.form.own_points):
         if density.domain is not None:
             reach = _FIT_REACH * K * h.max()
             x, mass, h = density.domain.seen(density.domain.fold(x), mass, h, reach)

@@ -109,19 +109,17 @@ def initialize(
     _check_walls(distribution, domain)
     if isinstance(n_particles, str):
         choice("n_particles", n_particles, ["auto"])
+    bound = max_particles("auto" if n_particles is None else n_particles, config)
     if isinstance(scheme, CloudScheme) and spacing is None and (start := _as_family(distribution, t, domain)):
-        return start.noted(capacity=max_particles("auto" if n_particles is None else n_particles, config))
+        return start.noted(capacity=bound)
     if spacing is not None and not isinstance(n_particles, str):
         return _spaced(distribution, n_particles, scheme, box, spacing, t, domain)
-    bound = max_particles("auto" if n_particles is None else n_particles, config)
     if isinstance(bound, str):
         return _to_target(distribution, box, config, t, domain)
-    n_particles = count("n_particles", bound)
-    gaussian, box = isinstance(distribution, Gaussian), _box_of(distribution, box)
+    n_particles, box = count("n_particles", bound), _box_of(distribution, box)
     domain = _bounds(domain, box)
-    smooth = not isinstance(distribution, Uniform) and (domain is None or gaussian)
     if not isinstance(scheme, PaperScheme):
-        if smooth and not isinstance(distribution, Uniform):
+        if not isinstance(distribution, Uniform) and (domain is None or isinstance(distribution, Gaussian)):
             return _on_level_set(distribution, box, n_particles, scheme, t, domain)
         if domain is None and isinstance(distribution, Uniform):
             return _uniform(distribution, box, n_particles, t)  # edges have no smooth logarithm

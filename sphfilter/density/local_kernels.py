@@ -1,5 +1,6 @@
 """Weighted points as a sum of Gaussian kernels, each as wide as the density about it is."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -8,14 +9,18 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.cloud.kernels import log_sum, log_sum_gradient, seen
-from ..core.limits import EDGE
+from ..core.limits import EDGE, TINY
+from ..core.monomials import up_to
 from ..core.sph.kernels import Kernel
-from .whitening import framed, least_change
 
 #: Groups of points that have a kernel each; with twice as many, 10,000 points are a tenth better.
 _KERNELS = 1024
 #: Width of what looks about, over N^(-1/(n + 8)), as `python tests/density/kernel_widths.py` measures it.
 _WIDTH = 1.4
+_POINTS_A_TERM = 2  # of the polynomial of slopes
+_CLIP = 5.0  # standard deviations, beyond which polynomials keep the values that they have there
+_RIDGE = 1e-10  # of the mean diagonal of the normal matrix: rounding, 1e-16, over a hundred terms squared
+_BLOCK = 4096  # points at a time: of 35 terms, as four states have, 8 · 35 _BLOCK = 1.1 MB
 
 
 @dataclass(frozen=True)
@@ -80,7 +85,7 @@ def local_kernels(x: Floats, mass: Floats) -> LocalKernels | None:
     Neighbours share a kernel, which has the covariance A C A of the group besides. What is left of the error
     is taken out of mean and covariance: they are those of the points.
     """
-    found, n = framed(x, mass), x.shape[1]
+    found, n = _framed(x, mass), x.shape[1]
     if found is None:
         return None
     centre, whole, z, within = found
@@ -97,7 +102,7 @@ def local_kernels(x: Floats, mass: Floats) -> LocalKernels | None:
     z = z + np.linalg.solve(one + A, part * m[..., None])[..., 0]
     z, S = z - w @ z, A @ (h**2 * one + C) @ A
     own, wanted = (z * w[:, None]).T @ z + np.einsum("k,kab->ab", w, S), np.linalg.inv(within)
-    factor = whole @ within @ least_change(own, wanted @ wanted.T)
+    factor = whole @ within @ _least_change(own, wanted @ wanted.T)
     try:
         return LocalKernels(centre, factor, z, w, np.linalg.cholesky(S), Kernel.of("gaussian", n))
     except np.linalg.LinAlgError:  # one point has all the weight but for rounding
@@ -119,3 +124,85 @@ def _grouped(z: Floats, mass: Floats) -> tuple[Floats, Floats, Floats]:
     mean = np.add.reduceat(part[:, None] * z, starts)
     d = z - mean[own]
     return w, mean, np.add.reduceat(np.einsum("k,ka,kb->kab", part, d, d), starts)
+
+
+def _framed(x: Floats, mass: Floats) -> tuple[Floats, ...] | None:
+    """Whitened coordinates z (N, n) of points x = centre + root z; None where their covariance is singular.
+
+    Centre, root, z, and the lower root (n, n) of the covariance within pieces that lie apart.
+    """
+    centre = mass @ x
+    try:
+        root = np.linalg.cholesky(((x - centre) * mass[:, None]).T @ (x - centre))
+    except np.linalg.LinAlgError:
+        return None
+    z = np.ascontiguousarray(np.linalg.solve(root, (x - centre).T).T)
+    slope = _slope(z, mass)
+    # Inverse of the slopes' second moments: covariance within the pieces, in no direction above the whole's.
+    values, axes = np.linalg.eigh((slope * mass[:, None]).T @ slope)
+    within = np.linalg.cholesky((axes / np.maximum(values, 1.0)) @ axes.T)
+    return centre, *(np.asarray(part, dtype=float) for part in (root, z, within))
+
+
+def _least_change(have: Floats, wanted: Floats) -> Floats:
+    """The symmetric matrix that makes one covariance (n, n) another: the least change of the states."""
+    root = _root(have)
+    inverse = np.linalg.inv(root)
+    return inverse @ _root(root @ wanted @ root) @ inverse
+
+
+def _root(matrix: Floats) -> Floats:
+    """Symmetric root of a positive matrix (n, n)."""
+    values, axes = np.linalg.eigh(matrix)
+    return (axes * np.sqrt(values)) @ axes.T
+
+
+def _slope(z: Floats, mass: Floats) -> Floats:
+    """Gradient of the log-density (N, n) at whitened points, a polynomial of degree three.
+
+    It is the one for which E[q . grad log p] = -E[div q] holds for polynomials q of that degree: that of a
+    Gaussian, or of exp of any polynomial of degree four, exactly. Far from the middle, where a few light
+    points would decide, it points inwards at least as steeply as a Gaussian's.
+    """
+    N, n = z.shape
+    points = min(N, 1.0 / np.sum(mass**2))
+    degree = max((p for p in (1, 2, 3) if _POINTS_A_TERM * math.comb(n + p, p) <= points), default=1)
+    powers = np.array(up_to(degree, n))
+    normal, pull = np.zeros((len(powers), len(powers))), np.zeros((len(powers), n))
+    for k in range(0, N, _BLOCK):
+        phi, gradients = _hermite(z[k : k + _BLOCK], powers, mass[k : k + _BLOCK])
+        normal += (phi * mass[k : k + _BLOCK]) @ phi.T
+        pull += gradients
+    normal += _RIDGE * np.trace(normal) / len(powers) * np.eye(len(powers))
+    c = np.linalg.solve(normal, pull)
+    u = np.concatenate([_hermite(z[k : k + _BLOCK], powers)[0].T @ c for k in range(0, N, _BLOCK)])
+    r2 = (z**2).sum(axis=1)
+    near, far = 2.0, 3.0  # standard deviations to which it is trusted, and from which it no longer is
+    doubt = np.clip((np.sqrt(r2) - near) / (far - near), 0.0, 1.0)
+    short = np.maximum(r2 - (u * z).sum(axis=1), 0.0) / np.maximum(r2, near**2)
+    return -u - (doubt * short)[:, None] * z
+
+
+def _hermite(z: Floats, powers: Floats, mass: Floats | None = None) -> tuple[Floats, Floats]:
+    """Products (q, N) of normalised Hermite polynomials at z (N, n), and the sums (q, n) of their gradients.
+
+    Gradients are summed with masses (N,), where there are any. Beyond `_CLIP` products are what they are on
+    that sphere, which looks the same from all whitened coordinates.
+    """
+    r = np.maximum(np.linalg.norm(z, axis=1, keepdims=True), TINY)
+    scale = np.minimum(1.0, _CLIP / r)
+    y = scale * z
+    He = [np.ones_like(y), y]
+    for k in range(2, powers.max() + 1):
+        He.append((y * He[-1] - math.sqrt(k - 1) * He[-2]) / math.sqrt(k))
+    values = np.array(He)  # (degree + 1, N, n)
+    axes = range(z.shape[1])
+    own = [values[powers[:, d], :, d] for d in axes]
+    phi, sums = np.prod(own, axis=0), np.zeros(powers.shape)
+    if mass is None:
+        return phi, sums
+    slopes = [np.sqrt(powers[:, d, None]) * values[np.maximum(powers[:, d] - 1, 0), :, d] for d in axes]
+    g = np.stack([np.prod([*own[:d], slopes[d], *own[d + 1 :]], axis=0) for d in axes], axis=-1)
+    way = np.where(scale < 1.0, z / r, 0.0)  # outwards, along which nothing changes beyond the sphere
+    g = scale * (g - np.einsum("kia,ia->ki", g, way)[..., None] * way)
+    return phi, np.einsum("kia,i->ka", g, mass)

@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 from .._types import Floats
 from ..core.limits import TINY
 from ..errors import PropagationError
-from .moments import moments_of_sum
+from .moments import cov_of_sum, moments_of_sum
 from .particle_density import ParticleDensity
 from .statistics import FEW_SUBPOINTS
 from .weighted import WeightedStates
@@ -122,15 +122,13 @@ class ModeDensities:
         """Mean (n,) and covariance (n, n) over all modes; read-only. The mean of an angle is a direction."""
         domain = self.heaviest.domain
         _, w, means, covs = (np.array(part) for part in zip(*self._own_moments, strict=True))
-        mean = w @ means
-        off = means - mean
+        mean, cov = moments_of_sum(w, means, covs)
         if domain is not None:
             spread = [p.form.states(FEW_SUBPOINTS, True) for _, _, p in self.some]
             X = np.concatenate([x for x, _ in spread])
             mass = np.concatenate([share * part for share, (_, part) in zip(w, spread, strict=True)])
             mean[domain.periodic] = domain.mean(X, mass / mass.sum())[domain.periodic]
-            off = domain.nearest(means - mean)
-        cov = np.einsum("k,kab->ab", w, covs) + np.einsum("k,ka,kb->ab", w, off, off)
+            cov = cov_of_sum(w, domain.nearest(means - mean), covs)
         mean.flags.writeable = cov.flags.writeable = False
         return mean, cov
 

@@ -29,8 +29,12 @@ def moments(x: Floats, w: Floats) -> tuple[Floats, Floats]:
 def moments_of_sum(w: Floats, means: Any, covs: Any) -> tuple[Floats, Floats]:
     """Mean (n,) and covariance (n, n) of a sum of densities, of shares w (K,), by those of its parts."""
     mean = w @ means
-    off = means - mean
-    return mean, np.einsum("k,kab->ab", w, covs) + np.einsum("k,ka,kb->ab", w, off, off)
+    return mean, cov_of_sum(w, means - mean, covs)
+
+
+def cov_of_sum(w: Floats, off: Any, covs: Any) -> Floats:
+    """Covariance (n, n) of a sum of densities, of shares w (K,), whose means are off its own by (K, n)."""
+    return np.einsum("k,kab->ab", w, covs) + np.einsum("k,ka,kb->ab", w, off, off)
 
 
 def matched(x: Floats, mass: Floats, mean: Floats, cov: Floats) -> Floats:

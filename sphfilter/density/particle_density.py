@@ -23,7 +23,6 @@ from .defect import Defect
 from .family import Family, moments_of, nodes_of
 from .folded import Folded
 from .left_out import LeftOut
-from .marginal import around
 from .memory import Memory
 from .pieces import Pieces
 from .points import CloudState
@@ -279,12 +278,13 @@ class ParticleDensity(Noted):
             shape = points(self.x, self.mass, self.h, self.sph_kernel, kind, log_p=self.log_density)
         return shape if self.domain is None else Folded(shape, self.domain)
 
-    @cached_property
+    @property
     def cells(self) -> Floats:
         """Middles (M, n) of the lattice's cells in which the density is more than nothing."""
-        if self.field is None:
+        found = self.form.cells
+        if found is None:
             raise ModelError("the density lies on no lattice of level sets, and has no cells")
-        return around(self.field, self.walls)
+        return found
 
     def pdf(self, X: ArrayLike) -> Floats:
         """Density at the states X (M, n) or (n,); an array (M,), per unit volume of the state space."""
@@ -470,7 +470,7 @@ class ParticleDensity(Noted):
         """The density read as a kind, if one is given; else as is usual for its own, or itself."""
         own = self.read_out
         read_out = usual.get(own, own) if kind is None else choice("kind", kind, READ_OUTS)
-        return self if read_out == self.read_out else replace(self, read_out=read_out)
+        return self if read_out == own else replace(self, read_out=read_out)
 
     def _between(self, kind: ReadOut | None) -> "ParticleDensity":
         """The density as it is read between its points."""

@@ -24,9 +24,8 @@ from ..core.cloud.steps import BESIDE, BETWEEN, FLOW, NO_LEG, STIFF_FLOW, Leg
 from ..core.cloud.way import AGAIN, FIRST, KERNEL, begin, carry, carry_linear, everywhere
 from ..model.compile import surfacing
 from ..model.discrete import DiscreteModel
-from ..model.discretization import linear_transition
 from ..model.dynamics import Dynamics
-from ..model.paths import noise_root
+from ..model.paths import change_of, noise_root
 from ..model.sde import SDE
 from .moments import columns
 from .points import NO_LINES, CloudState, Pace, Passage, Path, Points, Told
@@ -266,13 +265,6 @@ def _leg(model: Dynamics, stiff: bool) -> Leg:
         kinds = ADDITIVE if additive else OF_STATE, model.constant_diffusion, walls
     at = [NOWHERE_AT if function is None else address_of(function) for function in own]
     return Leg._make([*at, model.p, noise_root(Q), model.domain.codes, 0.0, 0.0, 0, *kinds])
-
-
-@lru_cache(maxsize=64)
-def change_of(model: Dynamics, dt: float) -> tuple[Floats, Floats, Floats]:
-    """Φ, offset and root of the noise of a linear model over a time, as compiled code takes them."""
-    flow, offset, Q = linear_transition(model, dt)
-    return flow.copy(), offset.copy(), noise_root(Q)
 
 
 def chosen_steps(

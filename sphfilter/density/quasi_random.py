@@ -17,7 +17,6 @@ _WIDER = 1.15
 #: States that stand for a density, and as few as will do where it is only looked at: random ones would have
 #: its mean within 1 / √2^15 = .006 and 1 / √2^12 = .016.
 STATES, FEW_STATES = 2**15, 2**12
-_SEED = 20220  # of the one scrambling that all nets have
 
 
 class NetPart(IntEnum):
@@ -86,7 +85,8 @@ def _sobol(count: int, dim: int, part: int) -> Floats:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # numbers of points that are no power of two
-        uniform = np.asarray(qmc.Sobol(dim, rng=np.random.default_rng([_SEED, part])).random(count))
+        rng = np.random.default_rng([20220, part])  # one scrambling, that all nets have
+        uniform = np.asarray(qmc.Sobol(dim, rng=rng).random(count))
     uniform.flags.writeable = False
     return uniform
 

@@ -54,6 +54,11 @@ class Shape(Protocol):
         return None
 
     @property
+    def cells(self) -> Floats | None:
+        """Middles (M, n) of a lattice's cells in which the density is more than nothing; or None."""
+        return None
+
+    @property
     def widening(self) -> float:
         """Variance along each axis by which the covariance exceeds that of the points."""
         return 0.0
@@ -259,7 +264,6 @@ class Polynomials(Shape):
 
     @cached_property
     def cells(self) -> Floats:
-        """Middles (M, n) of the lattice's cells in which the density is more than nothing."""
         return marginal.around(self.field, self.walls)
 
     def logpdf(self, X: Floats) -> Floats:

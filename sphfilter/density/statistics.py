@@ -145,7 +145,7 @@ def mode(density: "ParticleDensity") -> Floats:
     """The state of highest density, shape (n,): the best particle, then a simplex search from it."""
     from scipy import optimize  # on use: import time
 
-    X = density.form.states(FEW_SUBPOINTS, False)[0] if density.read_out == "cloud" else density.x
+    X = density.form.states(FEW_SUBPOINTS, False)[0] if density.form.own_points else density.x
     best = X[np.argmax(density.pdf(X))]
     simplex = np.vstack([best, best + 0.5 * np.median(density.h) * np.eye(density.dim)])
     found = optimize.minimize(
@@ -265,7 +265,7 @@ def pdf_error(density: "ParticleDensity") -> float:
 
     The distance of kernels of fourth order falls as N^(-4/(n + 8)), and squares of both clouds' add up.
     """
-    if density.cloud is None or density.read_out != "cloud":
+    if density.cloud is None or not density.form.own_points:
         return math.nan
     shadow = _cloud(density, *density.cloud.shadow[:2])
     X, w = density.form.states(FEW_SUBPOINTS, False)

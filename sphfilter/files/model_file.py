@@ -1,7 +1,8 @@
 """What a model file may say: model, sensor and start for measurements from outside, and their columns."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from os import PathLike
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field
@@ -9,8 +10,7 @@ from pydantic import BeforeValidator, Field
 from ..config import FilterConfig
 from ..errors import ConfigError, nearest
 from ..settings import Count, from_table, read_toml, settings
-from .csv_data import Measurements, columns_of, read_measurements
-from .tables import with_tables
+from .csv_data import Measurements, columns_of, read_columns, read_measurements
 from .text import Matrix, ModelText, Reads, Row, Sensor
 
 #: Keys of [filters] by which the experiments set other filters than this one.
@@ -78,6 +78,17 @@ class ModelFile(Reads):
     filters: Annotated[Filters, BeforeValidator(_without_others)] = Field(default_factory=Filters)
 
 
+@settings
+class TableFile:
+    """Where a table's columns are."""
+
+    file: str  # relative to the folder of the file that names it
+    # columns; the arguments are the first one if `at` is None
+    values: str
+    at: str | None = None
+    kind: Literal["linear", "previous"] = "linear"
+
+
 def read_settings(path: str | PathLike[str], kind: type[File]) -> File:
     """Read the settings of a TOML file, `ModelFile` or what has more keys; raises `ConfigError`."""
     return from_table(kind, with_tables(read_toml(path), path), path)
@@ -107,3 +118,46 @@ def _check_known(key: str, given: Iterable[str], known: Iterable[str], kind: str
             raise ConfigError(
                 f"{key} names {name!r}, which is no {kind}{nearest(name, known)}; there are {there}"
             )
+
+
+def with_tables(tree: dict[str, Any], path: str | PathLike[str]) -> dict[str, Any]:
+    """A TOML tree in which the numbers of tables stand in the place of the files that have them.
+
+    Files are looked for beside `path`, that of the tree, which is not changed. Raises `ConfigError` for a CSV
+    file that cannot be read, or a column that is not there; the nearest is named.
+    """
+    for place in _places(tree):
+        found = _at(tree, place).items()
+        tree = _replaced(tree, place, {name: _read(t, path, ".".join([*place, name])) for name, t in found})
+    return tree
+
+
+def _places(tree: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Keys under which there are tables by name."""
+    sensors = tree.get("sensors")
+    names = sensors if isinstance(sensors, dict) else ()
+    places: list[tuple[str, ...]] = [("inputs",), ("model", "tables"), ("sensor", "tables")]
+    places += [("sensors", name, "tables") for name in names]
+    return [place for place in places if isinstance(_at(tree, place), dict)]
+
+
+def _at(tree: Any, keys: Sequence[str]) -> Any:
+    for key in keys:
+        tree = tree.get(key) if isinstance(tree, dict) else None
+    return tree
+
+
+def _replaced(tree: Any, keys: Sequence[str], value: Any) -> Any:
+    """A tree with another value at some keys."""
+    if not keys:
+        return value
+    return tree | {keys[0]: _replaced(tree[keys[0]], keys[1:], value)}
+
+
+def _read(table: Any, path: str | PathLike[str], key: str) -> Any:
+    """A table with its numbers; anything else as it is."""
+    if not isinstance(table, dict) or not ("file" in table or isinstance(table.get("values"), str)):
+        return table
+    place = from_table(TableFile, table, f"{path}: {key}")
+    at, values = read_columns(Path(path).parent / place.file, (place.at, place.values))
+    return {"at": at.tolist(), "values": values.tolist(), "kind": place.kind}

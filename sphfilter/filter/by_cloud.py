@@ -23,7 +23,7 @@ from ..info import Code
 from ..prediction.cloud import as_points, shadow_size, squared_differences
 from .guided import weighed
 from .inherited import inherited
-from .reading_at_prior import Posterior, ReadingAtPrior
+from .reading_at_prior import Posterior, ReadingAtPrior, info_fields
 from .stacked import Stacked
 
 
@@ -48,25 +48,17 @@ def by_cloud(
             "prior times likelihood is zero wherever the prior has particles: check the measurement, its "
             "unit and its noise"
         )
-    new = cloud_of(density, found.state, found.moments, capacity=n_particles, lost=density.lost)
     found = found.inheriting(state, moments_on_line(density))
     error, doubt, code = found.error, 2.0 * found.of_variance, Code.CLOUD
-    new = new.noted(cloud=found.state, error=error, rough=0.0)  # of which `inherited` knows
+    known = {"capacity": n_particles, "error": error, "rough": 0.0}  # of which `inherited` knows
+    new = cloud_of(density, found.state, found.moments, **known)
     status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard deviations"
     target = config.target_error
     if doubt > wrong_beside(flagged_from(target)) and error < doubtful_from(target):  # else said of the mean
         status, code = f"{status}, but the variance may be off by {doubt:.0%}", code | Code.UNRESOLVED
-    return new, {
-        "accepted": True,
-        "log_evidence": found.log_evidence,
-        "reason": asked.outlying,
-        "error": error,
-        "variance_error": found.variance_error,
-        "evidence_error": found.evidence_error,
-        "status": f"{status}; {why}" if why else status,
-        "code": code,
-        "scheme": "cloud",
-    }
+    said = info_fields(asked, "cloud", found.log_evidence, error, found.evidence_error)
+    said |= {"variance_error": found.variance_error, "code": code}
+    return new, said | {"status": f"{status}; {why}" if why else status}
 
 
 class CloudReading(NamedTuple):

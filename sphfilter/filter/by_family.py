@@ -1,17 +1,25 @@
 """Prior times likelihood as one exponential family, in a frame of its own."""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._types import Floats
+from .._types import Floats, OfStates
+from ..core.family.frame import moved, root_between
 from ..core.kalman import conditioned
-from ..core.limits import ALIKE, LARGEST_EXPONENT, LOOK
+from ..core.limits import ALIKE, LARGEST_EXPONENT, LOOK, TINY
 from ..density.as_family import defect_in, family_density, family_of, moments_on_line
 from ..density.defect import OF_UNSIGNED, after_reading, read_out
-from ..density.family import Family, gaussian_family, moments_apart, node_moments
-from ..density.family_posterior import family_posterior
+from ..density.family import (
+    ASTRAY,
+    Family,
+    gaussian_family,
+    moments_apart,
+    node_moments,
+    node_weights,
+    turned,
+)
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Use, age_of, stored_key
 from ..errors import PropagationError
@@ -25,7 +33,12 @@ _LOOKED_AT, _FEW = 512, 8.0  # points of a prior that a posterior is looked for 
 #: d deviations off widens a variance, s² of the prior's, by exp(-d² / 2) (d / s)², by .1 at d = 3.5, s = .5.
 _APART = 2.5
 _MORE, _NEGLIGIBLE = 2.0, 9.0  # in logarithms: of a posterior over its family, and below its peak
-_LOST = 1e3  # an error that is as bad as any
+_SETTLED, _ROUNDS = 1e-3, 8  # of the moments in the frame; rounds
+_LEAST, _MOST, _STEP = 0.05, 4.0, 3.0  # variances, and shift, that one round goes to
+#: Times and part of the frame, in which nodes are looked at once more: both rules miss two modes alike. Of
+#: 208 such posteriors the rules alone told .1 of what is made, with these .7. A Gaussian is off by 5e-5 then
+#: (of up to three states), by 5e-4 one that cubics hold.
+_WIDER, _WIDER_OF_CUBICS = 1.1, 1.05
 
 
 def by_family(
@@ -35,7 +48,7 @@ def by_family(
 
     Raises `PropagationError` if no family holds it, or the error of that would be above `most`.
     """
-    if density.read_out == "cloud" or density.walls[0].size:
+    if density.form.own_points or density.walls[0].size:
         raise PropagationError(
             "one family does not hold this density, which has no smooth logarithm; use another scheme"
         )
@@ -127,7 +140,8 @@ def _errors_beyond_nodes(
     y = (X - own_mean) @ root.T
     with np.errstate(over="ignore", invalid="ignore"):  # of a family that is nowhere near
         apart = moments_apart(off @ y, (y * off[:, None]).T @ y - off.sum() * np.eye(len(cov)))
-    return min(math.hypot(apart, elsewhere), _LOST), min(abs(float(off.sum())), _LOST)
+    worst = 1e3  # an error that is as bad as any
+    return min(math.hypot(apart, elsewhere), worst), min(abs(float(off.sum())), worst)
 
 
 def _moments(family: Family) -> tuple[Floats, Floats]:
@@ -147,3 +161,58 @@ def _linearised(density: ParticleDensity, asked: ReadingAtPrior) -> tuple[Floats
         return mean + gain @ asked.innovation, np.asarray(np.linalg.cholesky(0.5 * (cov + cov.T)), np.float64)
     except np.linalg.LinAlgError:  # a sensor as sharp as rounding
         return None
+
+
+class FamilyPosterior(NamedTuple):
+    """A posterior, the log of its integral before it was normalised, and how far other rules are from it."""
+
+    family: Family
+    log_evidence: float
+    products: Floats  # (N,) logarithms of prior times likelihood, normalised, at the nodes of both rules
+    apart: float  # at most, of mean and covariance, standard deviations
+    evidence_apart: float  # nats
+
+
+def family_posterior(
+    prior: Family, log_weight: OfStates, first: tuple[Floats, Floats] | None = None
+) -> FamilyPosterior:
+    """A family times exp(log_weight(X)), of states X (M, n), in a frame of its own.
+
+    That begins with the prior's, or with a mean (n,) and a factor (n, n) of a covariance. Raises
+    `PropagationError` if no frame fits the posterior, or the likelihood is zero where it has nodes.
+    """
+    rule = prior.basis
+    mu, A = (prior.mu, prior.A) if first is None else first
+    for left in range(_ROUNDS, 0, -1):
+        log_p = _product(prior, log_weight, mu + rule.xi @ A.T)
+        w, log_evidence = node_weights(rule, A, log_p)
+        b, C = node_moments(rule.xi, w)
+        off = moved(b, C)
+        if off < _SETTLED or left == 1:
+            break
+        root = np.empty(C.shape)
+        root_between(C, _LEAST, _MOST, root)
+        mu, A = mu + A @ (b * min(1.0, _STEP / max(float(np.linalg.norm(b)), TINY))), A @ root
+    if not off < ASTRAY:
+        raise PropagationError(
+            f"one family of degree {prior.degree} does not hold the posterior: its frame does not settle"
+        )
+    found, more = Family(mu, np.ascontiguousarray(A), log_p @ rule.F), turned(len(mu), prior.degree)
+    apart, of_evidence, looks = 0.0, 0.0, [log_p]
+    wider = _WIDER if prior.degree > 3 else _WIDER_OF_CUBICS
+    for times in (1.0, wider, 1.0 / wider):
+        looks.append(_product(prior, log_weight, mu + times * (more.xi @ A.T)))
+        w, own_evidence = node_weights(more, times * A, looks[-1])
+        own_b, own_C = node_moments(more.xi, w)
+        apart = max(apart, moments_apart(b - times * own_b, C - times**2 * own_C))
+        of_evidence = max(of_evidence, abs(log_evidence - own_evidence))
+    products = np.concatenate(looks[:2]) - log_evidence
+    return FamilyPosterior(found.normalised(), log_evidence, products, apart, of_evidence)
+
+
+def _product(prior: Family, log_weight: OfStates, X: Floats) -> Floats:
+    """Log of prior times likelihood at states."""
+    log_p = prior.log_p(X) + log_weight(X)
+    if np.count_nonzero(np.isfinite(log_p)) < len(log_p):
+        raise PropagationError("one family does not hold the posterior: the likelihood is zero at its nodes")
+    return log_p

@@ -39,7 +39,7 @@ def by_ladder(
         return exact
     walled = density.walls[0].size > 0
     by_cloud = density.form.cell is None and not walled and prefers_cloud(density.dim, needs, target)
-    if density.read_out == "cloud" or (by_cloud and becomes_cloud(density.dim, needs, target)):
+    if density.form.own_points or (by_cloud and becomes_cloud(density.dim, needs, target)):
         return _on_cloud(density, asked, target, config, needs)
     found = _on_family(density, asked, target, needs)
     if found is not None and by_cloud and found[1]["error"] > tolerated_excess(density.dim) * target:

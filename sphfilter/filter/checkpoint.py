@@ -16,9 +16,8 @@ from ..model.measurements import Sensor
 from ..model.named import driven
 from ..prediction.predict import Prediction
 from ..prediction.switching import ModesPrediction
-from .read_only import read_only
 from .readings import parted
-from .state import FilterState
+from .state import FilterState, read_only
 from .update_again import Update
 
 #: Arguments that make a filter of a model and its measurement, attributes that it is given then, and what is

@@ -27,10 +27,9 @@ from ..model.sde import SDE
 from ..prediction.cloud import as_points, least_steps, shadow_size
 from ..prediction.ladder import becomes_cloud
 from .by_cloud import error_added
-from .read_only import read_only as as_found
 from .reading_at_prior import ReadingAtPrior, linear_reading
 from .stacked import Stacked
-from .state import FilterState
+from .state import FilterState, read_only
 
 _LONGEST = 8  # readings at most that a filter takes itself, before the next are tried
 _AHEAD = 64  # readings that are looked at
@@ -103,7 +102,7 @@ class _Left(NamedTuple):
         (cloud, needs, (row,), t), z, log_evidence = self
         about: dict[str, Any] = {"t": t, "capacity": 0, "error": row["error"]}
         density = cloud_of(filt.density, cloud, (row["x"], row["P"]), **about).noted(needs=needs)
-        told = {name: as_found(row[name]) for name in ("x", "P", "x_prior", "P_prior")}
+        told = {name: read_only(row[name]) for name in ("x", "P", "x_prior", "P_prior")}
         said = {"z": z, "y": row["innovation"], "S": row["innovation_cov"], "origin": None}
         said |= {"log_likelihood": row["log_evidence"], "log_evidence": log_evidence}
         said |= {"n_particles": max_particles_of(density, "auto")}

@@ -3,15 +3,13 @@
 from collections.abc import Mapping
 from copy import copy, deepcopy
 from dataclasses import dataclass, replace
-from functools import reduce
-from operator import or_
 from typing import Any
 
 import numpy as np
 
 from .._types import Reported
 from ..errors import ModelError
-from ..info import UpdateInfo
+from ..info import UpdateInfo, codes_of
 from ..model.measurements import Sensor
 from ..validate import count, onwards, real
 
@@ -134,8 +132,7 @@ class StepHistory:
         assert own is not None
         words = dict.fromkeys(info.status if info.status != "ok" else info.reason for info in flagged)
         if words:
-            code = reduce(or_, (info.code for info in flagged))
-            own = own.also(code, f"of steps taken again: {', '.join(words)}")
+            own = own.also(codes_of(flagged), f"of steps taken again: {', '.join(words)}")
         return own
 
     def _take(self, step: Step) -> list[Any]:

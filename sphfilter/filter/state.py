@@ -10,13 +10,14 @@ from numpy.typing import ArrayLike
 from .._types import Floats, Noted
 from ..density.modes import ModeDensities
 from ..density.particle_density import ParticleDensity
+from ..errors import ModelError
 from ..info import UpdateInfo, innovation_of
 from ..model.measurements import Sensor, has_gaussian_noise
 from ..validate import unmasked
-from .read_only import read_only
 
 #: What a filter carries: a density, or one for each mode.
 Carried = TypeVar("Carried", ParticleDensity, ModeDensities)
+_READ = "what a density filter has found is read-only; make a new filter with x0 and P0"
 
 
 @dataclass(frozen=True)
@@ -108,3 +109,39 @@ def said_of_reading(measurement: Sensor, z: ArrayLike | None, info: UpdateInfo |
     numbers, seen = measurement.reading(z)
     y, S = innovation_of(info or UpdateInfo(accepted=True, log_evidence=0.0), seen, measurement.dim_z)
     return {"z": numbers, "y": y, "S": S}
+
+
+class _Found(np.ndarray):
+    """A read-only array: ``flt.P *= 50`` would change a copy of what the density says, and nothing else.
+
+    What is computed from it is a plain array, and its copies may be changed.
+    """
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        """Compute with plain arrays."""
+        into = options.get("out", ())
+        if any(isinstance(array, _Found) and not array.flags.writeable for array in into):
+            raise ModelError(_READ)
+        if into:
+            options["out"] = tuple(_plain(array) for array in into)
+        result = getattr(ufunc, method)(*map(_plain, inputs), **options)
+        return into[0] if len(into) == 1 else result
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        if not self.flags.writeable:
+            raise ModelError(_READ)
+        super().__setitem__(key, value)
+
+    def __repr__(self) -> str:
+        return repr(_plain(self))
+
+
+def _plain(array: Any) -> Any:
+    return array.view(np.ndarray) if isinstance(array, _Found) else array
+
+
+def read_only(array: Floats) -> Floats:
+    """A new array of the same numbers, to be read."""
+    array = np.array(array).view(_Found)
+    array.flags.writeable = False
+    return array

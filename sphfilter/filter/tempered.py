@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import Floats, Ints, OfStates
-from ..core.cloud.given import move_along, noise_of, renew, uniforms
-from ..core.cloud.move import affine
+from ..core.cloud.move import affine, move_along
+from ..core.cloud.noise import noise_of, renew, uniforms
 from ..core.cloud.weights import effective, normalise, systematic
 from ..core.limits import LOOK, TINY
 from ..density.moments import columns

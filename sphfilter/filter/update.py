@@ -84,7 +84,7 @@ def update(
         posterior, said, _ = by_family(density, asked, degree_of(config.scheme, density.dim), bound)
     else:
         regrids = isinstance(config.scheme, PaperScheme) or config.acceptance.enabled
-        as_cloud = density.read_out == "cloud" or isinstance(config.scheme, CloudScheme)
+        as_cloud = density.form.own_points or isinstance(config.scheme, CloudScheme)
         by = by_cloud if as_cloud else by_regridding if regrids else by_lattice
         prior = density if as_cloud else on_lattice(density, bound)
         posterior, said = by(prior, asked, bound, config)

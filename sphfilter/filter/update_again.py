@@ -97,7 +97,7 @@ def update_or_predict_again(
     before, lost = prediction.before, prediction.lost
     posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
     bound = max_particles_of(prior, n_particles)
-    if posterior.read_out == "cloud":
+    if posterior.form.own_points:
         once = prior, posterior, info
         return Outcome(*_on_more_points(prediction, once, measurement, z, config), bound)
     posterior, info = _used_together(prediction, (posterior, info), (measurement, z), config, n_particles)
@@ -217,7 +217,7 @@ def _on_more_points(
     """
     (prior, posterior, info), best, before = once, once, prediction.before
     start, finer = prior if before is None else before, True
-    target, known, as_it_was = target_of(prior, config, None), start.needs, prior.read_out == "cloud"
+    target, known, as_it_was = target_of(prior, config, None), start.needs, bool(prior.form.own_points)
     in_vain = start.error > EDGE or (before is None and as_it_was)  # it lies elsewhere, or is all there is
     if target is None or known is None or config.time_budget or in_vain or info.reason == NOTHING_CAME:
         return once
@@ -240,7 +240,7 @@ def _on_more_points(
             prior, posterior, info = _again(prediction, start, measurement, z, config, asked)
         except PropagationError:  # what there is already is better than none
             break
-        grown, better = posterior.cloud is not None, info.error < best[2].error
+        grown, better = bool(posterior.form.own_points), info.error < best[2].error
         if not grown and not better and asked < target:  # for so much less, a lattice was taken for cheaper
             (prior, posterior, info), finer = best, False
             continue

@@ -3,8 +3,6 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import reduce
-from operator import or_
 from typing import Any
 
 import numpy as np
@@ -17,7 +15,7 @@ from ..core.limits import SAID
 from ..density.modes import ModeDensities
 from ..density.moments import moments_of_sum
 from ..errors import PropagationError
-from ..info import NOTHING_CAME, Code, UpdateInfo
+from ..info import NOTHING_CAME, UpdateInfo, codes_of, schemes_of
 from ..model.measurements import Sensor
 from .inherited import shift_left_by_update
 from .update import update
@@ -96,8 +94,8 @@ def update_modes(
         # a density that is wrong by so many standard deviations of its mean is so by about as many nats
         evidence_error=math.hypot(float(posterior.w @ of_evidence), posterior.error, math.log1p(off)),
         status="; ".join(f"{name}: {info.status}" for name, info in flagged if info.status != "ok") or "ok",
-        code=reduce(or_, (info.code for _, info in flagged), Code.OK),
-        scheme=", ".join(dict.fromkeys(info.scheme for info in infos.values())),
+        code=codes_of(info for _, info in flagged),
+        scheme=schemes_of(infos.values()),
         modes=told,
         splitting_error=off,
     )

@@ -15,7 +15,7 @@ from ..errors import ModelError
 from .discrete import DiscreteModel
 from .discretization import exponential
 from .dynamics import Dynamics
-from .named import InputValues, input_values
+from .named import InputValues, input_values, shared
 from .sde import SDE
 
 
@@ -104,7 +104,7 @@ class JumpMarkovModel:
         elif rates is None or transitions is not None:
             raise ModelError("equations switch at rates=, jumps a second; transitions= are of DiscreteModel")
         self.rates = _rates(rates, self.names)
-        self.inputs: Mapping[str, float] = MappingProxyType(_inputs(self.modes))
+        self.inputs = shared("inputs", self.modes)
 
     def with_inputs(self, u: InputValues) -> "JumpMarkovModel":
         """Return the model with these values of its inputs, in their order or by name.
@@ -193,19 +193,6 @@ def _balanced(off: Floats) -> Floats:
     for k in range(1, len(off)):
         w[k] = w[:k] @ off[:k, k]
     return np.asarray(w / w.sum(), dtype=np.float64)
-
-
-def _inputs(modes: Mapping[str, Dynamics]) -> dict[str, float]:
-    """Inputs of all modes by name."""
-    found: dict[str, float] = {}
-    for name, mode in modes.items():
-        for key, value in mode.inputs.items():
-            if found.setdefault(key, value) != value:
-                raise ModelError(
-                    f"inputs of one name are one input, but {key!r} is {found[key]:g} in a mode before and "
-                    f"{value:g} in {name!r}: give it one value in all modes, or two names"
-                )
-    return found
 
 
 def _transitions(

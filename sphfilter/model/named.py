@@ -106,6 +106,19 @@ def parametrised(owner: Any, parameters: Mapping[str, float]) -> Any:
     return owner.with_parameters(**own) if own else owner
 
 
+def shared(kind: str, parts: Mapping[str, Any]) -> Mapping[str, float]:
+    """Parameters or inputs of all parts by name; raises `ModelError` where two have different values."""
+    found: dict[str, float] = {}
+    for whose, part in parts.items():
+        for name, value in getattr(part, kind, {}).items():
+            if found.setdefault(name, value) != value:
+                raise ModelError(
+                    f"{whose!r} and one before it give {name!r} different values, {value:g} and "
+                    f"{found[name]:g}: give it one value in all, or two names"
+                )
+    return MappingProxyType(found)
+
+
 class Adjustable:
     """A thing that has parameters and inputs by name: with other values of them nothing is compiled again."""
 

@@ -17,6 +17,7 @@ from ..errors import ModelError, PropagationError
 from .compile import surfacing
 from .derived import scales
 from .discrete import DiscreteModel
+from .discretization import linear_transition
 from .domain import Domain
 from .dynamics import Dynamics
 from .jump_markov import JumpMarkovModel
@@ -82,7 +83,7 @@ def advance(
     """
     x = np.array(x, dtype=float, order="C", ndmin=2)
     if model.linear:
-        Phi, offset, root = _transition(model, t1 - t0)
+        Phi, offset, root = change_of(model, t1 - t0)
         return x @ Phi.T + offset + rng.standard_normal(x.shape) @ root.T
     if isinstance(model, DiscreteModel):
         return model.drawn(x, t0, t1, noise_root(model.covariance), rng)
@@ -114,10 +115,10 @@ def _advance(
 
 
 @lru_cache(maxsize=256)
-def _transition(model: Dynamics, dt: float) -> tuple[Floats, Floats, Floats]:
-    """Return the exact transition of a linear model and a root of its covariance; models never change."""
-    Phi, offset, Qd = model.discretize(dt)
-    return Phi, offset, noise_root(Qd)
+def change_of(model: Dynamics, dt: float) -> tuple[Floats, Floats, Floats]:
+    """Φ, offset and root of the noise of a linear model over a time, as compiled code takes them."""
+    flow, offset, Q = linear_transition(model, dt)
+    return flow.copy(), offset.copy(), noise_root(Q)
 
 
 def _take(

@@ -1,7 +1,6 @@
 """Several sensors as one, each with readings at times of its own."""
 
 from collections.abc import Callable, Iterator, Mapping
-from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
@@ -12,7 +11,7 @@ from .. import validate
 from .._types import Bools, Floats, Seed
 from ..errors import ModelError, nearest
 from .measurements import Reading, direct_states, has_gaussian_noise, is_gaussian, wrapped
-from .named import Adjustable
+from .named import Adjustable, shared
 
 
 class Sensors(Adjustable, Mapping[str, Any]):
@@ -95,25 +94,13 @@ class Sensors(Adjustable, Mapping[str, Any]):
         self.H: Floats | None = np.vstack(Hs) if linear else None
         self.angles = tuple(self._rows[name].start + a for name, s in self._parts.items() for a in s.angles)
         self.directly_observed = direct_states(self.H, self.noise_cov, self.angles)
-        self.parameters = MappingProxyType(self._shared("parameters"))
-        self.inputs = MappingProxyType(self._shared("inputs"))
+        self.parameters, self.inputs = (shared(kind, self._parts) for kind in ("parameters", "inputs"))
 
     def _check_widths(self) -> None:
         """All sensors that are matrices read states of one length."""
         widths = {name: s.H.shape[1] for name, s in self._parts.items() if s.H is not None}
         if len(set(widths.values())) > 1:
             raise ModelError(f"the sensors read states of different lengths: {widths}")
-
-    def _shared(self, kind: str) -> dict[str, float]:
-        """Parameters or inputs of all sensors by name."""
-        found: dict[str, float] = {}
-        for sensor in self._parts.values():
-            for name, value in getattr(sensor, kind, {}).items():
-                if found.setdefault(name, value) != value:
-                    raise ModelError(
-                        f"two sensors give {name!r} different values: {found[name]:g}, {value:g}"
-                    )
-        return found
 
     def __getitem__(self, name: str) -> Any:
         if name not in self._parts:

@@ -25,7 +25,6 @@ from ._shared import Predicted, blow_up, skip_notes
 from .time_slices import drift_slices, noise_samples
 
 _OF_STEPS = 0.3  # part of the errors of the steps, that errors are estimated by
-_LOST = 1.0  # standard deviations that the mean may be off by
 _NOT_FOLLOWED = (
     "no polynomial of this degree follows the logarithm of the density; predict over a shorter interval, or "
     "use another scheme"
@@ -45,7 +44,7 @@ def why_not(model: SDE, density: ParticleDensity) -> str:
     """Can one family carry the density? Returns a reason why not, empty if it can."""
     if model.domain.walled.any() or density.walls[0].size:
         return "an axis ends, and polynomials do not"
-    if density.field is None and density.family is None:
+    if density.form.cell is None and density.form.degree == 0:
         return "the density has no smooth logarithm"
     return ""
 
@@ -71,7 +70,7 @@ def carried_family(
     t1: float,
     scheme: FamilyScheme,
     n_particles: int,
-    most: float = _LOST,
+    most: float = 1.0,  # standard deviations that the mean may be off by
 ) -> Predicted:
     """Carry a density that fits as a family of a scheme's degree, whose steps may add an error of `most`."""
     n, degree = density.dim, scheme.degree
@@ -151,10 +150,7 @@ def _given_up(model: SDE, y: Any, report: Report, start: float, t1: float) -> Pr
 
 
 def _info(model: SDE, report: Report, error: float, of_variance: float) -> PredictInfo:
-    code, status = Code.OK, "ok"
-    if error > DOUBTFUL:
-        code, status = Code.UNRESOLVED, may_be_off(error)
-    return PredictInfo(
+    info = PredictInfo(
         n_steps=report.steps,
         n_rejected=report.rejected,
         n_evaluations=report.evaluations,
@@ -163,9 +159,8 @@ def _info(model: SDE, report: Report, error: float, of_variance: float) -> Predi
         variance_error=of_variance,
         skipped=_skipped(model),
         scheme="family",
-        status=status,
-        code=code,
     )
+    return info.also(Code.UNRESOLVED, may_be_off(error)) if error > DOUBTFUL else info
 
 
 @lru_cache(maxsize=64)

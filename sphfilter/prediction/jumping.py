@@ -25,12 +25,13 @@ from ..core.limits import GOLDEN, TINY
 from ..density.as_cloud import cloud_of
 from ..density.modes import ModeDensities
 from ..density.moments import columns, moments
-from ..density.passage import Use, along, change_of, leg_of, stored_key
+from ..density.passage import Use, along, leg_of, stored_key
 from ..density.points import CloudState, Points
 from ..errors import PropagationError
 from ..info import PredictInfo
 from ..model.compile import surfacing
 from ..model.jump_markov import JumpMarkovModel
+from ..model.paths import change_of
 from .cloud import (
     Carried,
     as_points,

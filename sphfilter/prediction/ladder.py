@@ -99,7 +99,7 @@ def propagate(density: ParticleDensity, model: Dynamics, t1: float, target: floa
         return _closed_form(density, model, t1, needs)
     if density.pieces is not None and model.linear and model.domain.unbounded:
         return _by_pieces(density, model, t1, target, needs)
-    if density.read_out == "cloud":
+    if density.form.own_points:
         return _by_cloud(density, model, t1, target, needs)
     if isinstance(model, DiscreteModel):
         return _by_sums(density, model, t1, target, needs, time)

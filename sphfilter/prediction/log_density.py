@@ -92,7 +92,7 @@ def why_not(model: SDE, density: ParticleDensity, n_particles: int) -> str:
         reason = _held_by_walls(model, density)
         if reason:
             return reason
-    if density.field is None:
+    if density.form.cell is None:
         return "the density has no smooth logarithm"
     if n_particles < fewest_particles(model.dim):
         return f"{n_particles} particles are too few for a lattice of {model.dim} states"
@@ -319,16 +319,14 @@ def _info(
 ) -> PredictInfo:
     steps, rejected, evaluations, relaid = (int(c) for c in counters)
     cut = beside(moved.field, moved.mean(), moved.cov(), moved.walls)
-    error, code, status = math.hypot(moved.error, cut.mean), Code.OK, "ok"
-    if error > DOUBTFUL:
-        code, status = Code.UNRESOLVED, may_be_off(error)
+    error = math.hypot(moved.error, cut.mean)
     skipped = ["neighbour search: the lattice knows its neighbours", "gradients: the expectation needs none"]
     skipped += [note for note in skip_notes(model, 0) if "evaluation of D" in note]
     if model.linear:
         skipped.append("divergence of the drift along the paths: it is constant")
     if not threads:
         skipped.append("threads: too little work for them")
-    return PredictInfo(
+    info = PredictInfo(
         n_steps=steps,
         n_rejected=rejected,
         n_evaluations=evaluations,
@@ -339,9 +337,8 @@ def _info(
         mass_left_out=cut.mass,
         skipped=tuple(skipped),
         scheme=scheme.name,
-        status=status,
-        code=code,
     )
+    return info.also(Code.UNRESOLVED, may_be_off(error)) if error > DOUBTFUL else info
 
 
 def _given_up(

@@ -18,13 +18,7 @@ from ..core.family.rules import degrees
 from ..core.limits import LITTLE
 from ..core.step_control import HELPED
 from ..density.as_cloud import cloud_density
-from ..density.as_family import (
-    as_polynomials,
-    family_density,
-    gaussians_of,
-    moments_on_line,
-    pieces_density,
-)
+from ..density.as_family import as_polynomials, family_density, gaussians_of, moments_on_line, pieces_density
 from ..density.defect import Defect, defect_of
 from ..density.family import HIGHEST, OF_MISFIT, fitted, moments_apart, node_moments
 from ..density.memory import Memory
@@ -42,10 +36,9 @@ from ..lattice.resolved import MOST
 from .ladder import first_degree, prefers_cloud
 
 _AWAY = 3.0  # standard deviations at which what is lost may lie: 2 Φ(-3) = .003 of a Gaussian lies beyond
-_CHANGE = 1.0 / OF_CHANGE  # times the aim, that mergers may change log p by: OF_CHANGE _CHANGE = 1
 _MOMENTS = ParticleDensity.mean, ParticleDensity.cov
 _MOST_PIECES, _COARSER = 200, 5  # of a sum, and times that it may change more until it has no more
-_TRIES, _FINER = 6, 2  # lattices, and times the nodes of the one before
+_TRIES = 6  # lattices, each of twice the nodes of the one before
 _SEEDS = 1e-4  # of the heaviest node of a part: those by which a lattice finds all of its pieces
 
 
@@ -85,7 +78,7 @@ def mixed(parts: Sequence[Part], target: float, errors: Allowed) -> ParticleDens
         return found
     needs = first.needs
     as_points = needs is not None and first.domain is None and prefers_cloud(first.dim, needs, target)
-    if not as_points and all(part.density.read_out != "cloud" for part in parts):
+    if not (as_points or any(part.density.form.own_points for part in parts)):
         with suppress(PropagationError, np.linalg.LinAlgError):
             return _on_lattice(parts, first, errors.by_lattice)
     return _as_cloud(parts, first, target)
@@ -107,10 +100,8 @@ def _joined(parts: Sequence[Part]) -> list[Part]:
 
 def _same(one: ParticleDensity, other: ParticleDensity) -> bool:
     """Are two densities the same to the last bit, as those of equal modes are?"""
-    if one is other:
-        return True
-    pairs = ((one.x, other.x), (one.mass, other.mass), (one.h, other.h))
-    return one.read_out == other.read_out and all(np.array_equal(a, b) for a, b in pairs)
+    names = ("x", "mass", "h")
+    return one is other or all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
 
 
 def _heavy(parts: list[Part], allowed: float) -> tuple[list[Part], float]:
@@ -151,7 +142,7 @@ def _as_pieces(parts: Sequence[Part], about: ParticleDensity, errors: Allowed) -
     union = Pieces(*(np.concatenate(part) for part in zip(*several, strict=True))).normalised()
     kept = union.heavy(LITTLE * errors.by_mergers, _AWAY)
     lost = float(union.w[~kept].sum())
-    pieces, change = _few(union.some(kept).normalised(), _CHANGE * errors.by_mergers, errors.reach)
+    pieces, change = _few(union.some(kept).normalised(), errors.by_mergers / OF_CHANGE, errors.reach)
     error = math.hypot(about.error, OF_CHANGE * change, _AWAY * lost)
     return pieces_density(about, pieces, error=error).noted(needs=about.needs)
 
@@ -239,9 +230,9 @@ def _on_lattice(parts: Sequence[Part], about: ParticleDensity, allowed: float) -
         if added < before:
             best = added, off.residual, laid, nodes
         helped = added < HELPED * before
-        if added <= allowed or about.needs is None or not helped or _FINER * nodes > MOST:
+        if added <= allowed or about.needs is None or not helped or 2 * nodes > MOST:
             break
-        nodes *= _FINER
+        nodes *= 2
     added, residual, laid, nodes = best
     known: Any = {"residual": residual, "error": math.hypot(about.error, added), "lost": about.lost}
     new = ParticleDensity.on_lattice(laid, about.t, nodes, False, about.domain, **known)

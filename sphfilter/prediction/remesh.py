@@ -34,7 +34,7 @@ class Remeshing:
 
     def applies(self, density: ParticleDensity, model: SDE) -> bool:
         """Do sums over kernels carry the density from here? A log-density is on a lattice at every step."""
-        if self.when == "never" or isinstance(self.scheme, LogDensityScheme) or density.read_out == "cloud":
+        if self.when == "never" or isinstance(self.scheme, LogDensityScheme) or density.form.own_points:
             return False
         return self.scheme != "auto" or bool(why_not(model, density, self.n_particles))
 

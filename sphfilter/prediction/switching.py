@@ -10,8 +10,6 @@ itself (`jumping`); of other densities sums are made at every time (`mixing`).
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import reduce
-from operator import or_
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,7 +23,7 @@ from ..density.memory import Memory, error_budget
 from ..density.modes import ModeDensities, SplittingError, no_ripple
 from ..density.particle_density import ParticleDensity
 from ..errors import PropagationError
-from ..info import Code, PredictInfo
+from ..info import Code, PredictInfo, codes_of
 from ..model.dynamics import Dynamics
 from ..model.jump_markov import JumpMarkovModel
 from .again import Outcome, or_as_cloud
@@ -129,7 +127,7 @@ def points_of_modes(modes: ModeDensities, target: float) -> int:
 
 def goes_as_points(modes: ModeDensities) -> bool:
     """Whether a density goes as points."""
-    return any(density.read_out == "cloud" for _, _, density in modes.some)
+    return any(density.form.own_points for _, _, density in modes.some)
 
 
 def _in_turn(
@@ -174,26 +172,19 @@ class _Told:
         """All of it as one; flags of modes that matter."""
         joined = {i: PredictInfo.joined(infos) for i, infos in enumerate(self._infos) if infos}
         whole = PredictInfo.joined(list(joined.values()))
-        said = [
-            (f"{self._names[i]}: {info.status}", info.code)
-            for i, info in joined.items()
-            if info.flagged and modes.w[i] > target
-        ]
-        if splitting > target:
-            said.append((_COARSE.format(steps, splitting), Code.COARSE))
-        known = {
-            name: getattr(whole, name)
-            for name in ("n_steps", "n_evaluations", "mass_error", "scheme", "skipped")
-        }
-        return ModesInfo(
-            **known,
+        flagged = {i: info for i, info in joined.items() if info.flagged and modes.w[i] > target}
+        said = "; ".join(f"{self._names[i]}: {info.status}" for i, info in flagged.items()) or "ok"
+        names = ("n_steps", "n_evaluations", "mass_error", "scheme", "skipped")
+        found = ModesInfo(
+            **{name: getattr(whole, name) for name in names},
             error=modes.error,
-            status="; ".join(status for status, _ in said) or "ok",
-            code=reduce(or_, (code for _, code in said), Code.OK),
+            status=said,
+            code=codes_of(flagged.values()),
             n_substeps=steps,
             splitting_error=splitting,
             modes={self._names[i]: info for i, info in joined.items()},
         )
+        return found.also(Code.COARSE, _COARSE.format(steps, splitting)) if splitting > target else found
 
 
 def _switched(modes: ModeDensities, P: Floats, target: float, allowed: Allowed) -> ModeDensities:

@@ -59,7 +59,7 @@ def carried_to_target(
             if best is None:
                 raise
             break
-        if info.scheme != "log_density":
+        if moved.form.cell is None:
             return moved, info, n_particles
         alike = best is not None and best[1].code == info.code == Code.OK
         if best is not None and alike and info.mass_error > HELPED * best[1].mass_error:

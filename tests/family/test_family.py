@@ -11,7 +11,7 @@ import sphfilter as sf
 from experiments.scene.scenario import load_scenario
 from sphfilter.campaign.campaign import draw_case
 from sphfilter.density.family import gaussian_family, node_weights
-from sphfilter.density.family_posterior import family_posterior
+from sphfilter.filter.by_family import family_posterior
 from sphfilter.info import DOUBTFUL
 
 FAMILY = sf.FilterConfig(scheme="family")

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import sphfilter as sf
-from sphfilter.density.as_family import as_polynomials
-from sphfilter.density.max_entropy import max_entropy
+from sphfilter.density.as_family import as_polynomials, max_entropy
 
 SCHEME = sf.FilterConfig(scheme=sf.FamilyScheme(degree=4))
 BENT = sf.SDE.from_expressions(["x", "v"], ["v", "-x - 0.1*x**3 - 0.4*v"], [["0"], ["0.8"]])

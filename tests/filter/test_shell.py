@@ -6,9 +6,8 @@ import pytest
 import sphfilter as sf
 from sphfilter.density.as_family import family_density, family_of
 from sphfilter.density.family import gaussian_family, particles_of
-from sphfilter.density.family_posterior import family_posterior
 from sphfilter.density.particle_density import ParticleDensity
-from sphfilter.filter.by_family import _kalman, _linearised
+from sphfilter.filter.by_family import _kalman, _linearised, family_posterior
 from sphfilter.filter.reading_at_prior import ReadingAtPrior
 from sphfilter.model.measurements import block
 

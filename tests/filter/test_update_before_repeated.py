@@ -84,7 +84,8 @@ class Predictions:
         self.sizes.append(n_particles)
         if lost is None:
             raise PropagationError("no")
-        return len(self.sizes), PredictInfo(scheme="log_density", mass_error=lost, error=4.0 * lost)
+        moved = SimpleNamespace(number=len(self.sizes), form=SimpleNamespace(cell=1.0))
+        return moved, PredictInfo(scheme="log_density", mass_error=lost, error=4.0 * lost)
 
 
 @pytest.mark.parametrize(
@@ -102,7 +103,7 @@ def test_auto_stops_where_more_particles_do_not_help(lost, called, kept):
     moved, info, bound = carried_to_target(density, predictions, 0.01, 200)
     assert len(predictions.sizes) == called
     assert predictions.sizes == sorted(set(predictions.sizes))
-    assert (moved, info.mass_error) == (kept, lost[kept - 1])
+    assert (moved.number, info.mass_error) == (kept, lost[kept - 1])
     assert bound <= predictions.sizes[kept - 1]
 
 

@@ -48,7 +48,7 @@ def test_an_input_of_several_modes_has_one_value():
     def of(value):
         return sf.SDE.from_expressions(["x"], ["a - x"], [["1"]], [[0.2]], inputs={"a": value})
 
-    with pytest.raises(sf.ModelError, match=r"'a' is 1 .* and 5 in 'B'"):
+    with pytest.raises(sf.ModelError, match=r"'B' .* 'a' different values, 5 and 1"):
         sf.JumpMarkovModel({"A": of(1.0), "B": of(5.0)}, np.zeros((2, 2)))
     model = sf.JumpMarkovModel({"A": of(1.0), "B": of(1.0)}, np.zeros((2, 2))).with_inputs({"a": 2.0})
     assert [mode.inputs["a"] for mode in model.modes.values()] == [2.0, 2.0]

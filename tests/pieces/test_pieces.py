@@ -180,3 +180,18 @@ def test_a_reading_that_only_one_part_explains_leaves_the_others_out():
     assert said["log_evidence"] == pytest.approx(
         np.log(0.5) + norm.logpdf(0.0, 0.0, np.sqrt(1.0001)), abs=1e-6
     )
+
+
+def test_a_sum_of_modes_goes_on_by_a_linear_model():
+    """A filter of one linear model carries on what a filter of modes knows: each Gaussian by itself."""
+    modes = {name: sf.LinearSDE([[0.0]], [v], noise=[[0.2]]) for name, v in (("left", -1.0), ("right", 1.0))}
+    switching = sf.JumpMarkovModel(modes, [[-0.1, 0.1], [0.1, -0.1]])
+    flt = sf.JumpMarkovFilter(switching, None, x0=[0.0], P0=[[0.1]])
+    flt.predict(2.0)
+    start = flt.density
+    one = sf.SPHFilter(sf.LinearSDE([[-0.5]], noise=[[0.3]]), None, density=start)
+    assert one.predict(1.0).scheme == "pieces"
+    own, flow, Q = start.pieces, np.exp(-0.5), 0.09 * -np.expm1(-1.0)
+    X = np.linspace(-3.0, 3.0, 61)[:, None]
+    each = norm.pdf(X, flow * own.mean[:, 0], np.sqrt(flow**2 * own.cov[:, 0, 0] + Q))
+    np.testing.assert_allclose(one.density.pdf(X), each @ own.w, atol=2e-3)

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..._types import Floats
 from ...density.distributions import Gaussian
+from ...density.moments import moments, moments_of_sum
 from ...density.particle_density import ParticleDensity
 from ...errors import ModelError, PropagationError
 from ...filter.reading_at_prior import predicted_reading
@@ -71,20 +72,13 @@ def multiplied(density: ParticleDensity, sensor: Sensor, z: Floats) -> Gaussian:
     if not np.isfinite(highest):
         raise ModelError("the likelihood is zero at all particles")
     w = np.exp(log_w - highest)
-    mean = w @ density.x / w.sum()
-    d = density.x - mean
-    return _gaussian(mean, (d * w[:, None]).T @ d / w.sum())
+    return _gaussian(*moments(density.x, w / w.sum()))
 
 
 def merged(parts: Sequence[tuple[float, Gaussian]]) -> Gaussian:
     """The Gaussian with the mean and covariance of a mixture of weights and Gaussians."""
-    w = np.array([weight for weight, _ in parts])
-    w = w / w.sum()
-    means = np.array([part.mean for _, part in parts])
-    mean = w @ means
-    d = means - mean
-    cov = np.einsum("k,kij->ij", w, np.array([part.cov for _, part in parts]))
-    return _gaussian(mean, cov + (d * w[:, None]).T @ d)
+    w, means, covs = (np.array(part) for part in zip(*((w, p.mean, p.cov) for w, p in parts), strict=True))
+    return _gaussian(*moments_of_sum(w / w.sum(), means, covs))
 
 
 def _gaussian(mean: Floats, cov: Floats) -> Gaussian:

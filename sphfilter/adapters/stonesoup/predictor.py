@@ -32,8 +32,7 @@ from ...prediction.switching import ModesInfo, ModesPrediction, predict_modes
 from ...validate import choice, count
 from .association import Association, predicted_apart
 from .failures import ON_FAILURE, OnFailure, linearised, said
-from .recent import Recent
-from .starts import current, retimed, started
+from .starts import Recent, current, retimed, started
 from .states import DensityState, JumpMarkovState, SPHState, Step, origin_of
 from .transition import SDETransitionModel, switching, transition_of
 

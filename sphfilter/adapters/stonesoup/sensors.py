@@ -13,6 +13,7 @@ from stonesoup.types.detection import Detection
 from stonesoup.types.state import State
 
 from ..._types import Bools, Floats
+from ...density.moments import cov_of_sum
 from ...errors import ModelError
 from ...filter.reading_at_prior import predicted_reading
 from ...model.measurements import GaussianMeasurement, GaussianSensor, Sensor, wrapped
@@ -110,7 +111,7 @@ def predicted(state: DensityState, sensor: GaussianSensor) -> tuple[Floats, Floa
     off = sensor.residual(readings, about)  # angles are averaged around that of the likeliest mode
     middle, apart = w @ off, means - state._moments[0]
     off, apart = off - middle, apart if domain is None else domain.nearest(apart)
-    S = np.einsum("k,kab->ab", w, S) + np.einsum("k,ka,kb->ab", w, off, off)
+    S = cov_of_sum(w, off, S)
     cross = np.einsum("k,kab->ab", w, cross) + np.einsum("k,ka,kb->ab", w, apart, off)
     return about + middle, S, cross
 

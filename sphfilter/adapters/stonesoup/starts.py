@@ -1,6 +1,8 @@
-"""States by their density, as steps begin with them: of Gaussians, of tracks, at the time of a model."""
+"""States by their density, as steps begin with them: of Gaussians, of tracks; and results of late."""
 
 import datetime
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, Literal
@@ -67,3 +69,25 @@ def retimed(
     """The density with the time that a timestamp is for the model."""
     t = density.t if transition.epoch is None else transition.time_of(timestamp)
     return density if density.t == t else _at(density, t)
+
+
+class Recent(OrderedDict[Hashable, Any]):
+    """The last `size` results by their keys, which are values, never objects that can change.
+
+    Copies and pickles begin empty.
+    """
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self._size = size
+
+    def result(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        """The result of a key, made where it is not known."""
+        if key not in self:
+            self[key] = make()
+            if len(self) > self._size:
+                self.popitem(last=False)
+        return self[key]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Recent, (self._size,)

@@ -4,8 +4,6 @@ import datetime
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import reduce
-from operator import or_
 from typing import Any
 
 import numpy as np
@@ -32,7 +30,7 @@ from ...filter.update_again import Update as Origin
 from ...filter.update_again import prediction_of, update_or_predict_again
 from ...filter.update_modes import ModesUpdateInfo
 from ...filter.update_modes_again import update_or_predict_modes_again
-from ...info import Code, UpdateInfo
+from ...info import Code, UpdateInfo, codes_of, schemes_of
 from ...model.measurements import Sensor, is_gaussian
 from ...model.named import driven
 from ...prediction.again import Outcome
@@ -50,9 +48,8 @@ from .association import (
 )
 from .failures import ON_FAILURE, OnFailure, merged, multiplied, said
 from .predictor import JumpMarkovPredictor, SPHPredictor
-from .recent import Recent
 from .sensors import predicted, reading_of, sensor_for, typed
-from .starts import current, started
+from .starts import Recent, current, started
 from .states import DensityState, JumpMarkovState, SPHState, Step, origin_of
 
 
@@ -362,8 +359,7 @@ class JumpMarkovUpdater(DensityUpdater):
         modes = mixture([(missed, state.modes), *((w, step.after) for w, step in each)], self._config)
         infos = [step.info for w, step in each if w > self._config.target_error]
         status = dict.fromkeys(info.status for info in infos if info.status != "ok")
-        code = reduce(or_, (info.code for info in infos if info.status != "ok"), Code.OK)
-        scheme = ", ".join(dict.fromkeys(info.scheme for info in infos))
+        code, scheme = codes_of(info for info in infos if info.status != "ok"), schemes_of(infos)
         return Step(modes, self._said(modes, status="; ".join(status) or "ok", code=code, scheme=scheme))
 
     def _said(self, carried: ModeDensities, **known: Any) -> ModesUpdateInfo:

@@ -96,11 +96,11 @@ def back(step, Y, floor, out):
         for i in range(M):
             out[i] = _brought(out[i])
         return 0
-    high = _above(out, floor - _SURE)
+    high = np.flatnonzero(~(out <= floor - _SURE))
     for i in range(high.size):
         owner[i] = owner[high[i]]
-    log_p, begin = np.empty(high.size), Begin(_rows(Y, high), _rows(f1, high), _rows(d1, high))
-    expected_at(step.expected)(step, aim, begin, _rows(centre, high), owner, log_p)
+    log_p, begin = np.empty(high.size), Begin(Y[high], f1[high], d1[high])
+    expected_at(step.expected)(step, aim, begin, centre[high], owner, log_p)
     for i in range(high.size):
         out[high[i]] = log_p[i]
     return high.size
@@ -135,27 +135,6 @@ def back_in_halves(step, around, Y, out):
 def _brought(log_p):
     """What a path brings; one that has left the finite numbers nothing: none comes from infinity."""
     return log_p if LOWEST < log_p < np.inf else LOWEST
-
-
-@jit
-def _above(values, level):
-    """Numbers of the values above a level."""
-    found, count = np.empty(values.size, np.int64), 0
-    for i in range(values.size):
-        if not values[i] <= level:
-            found[count] = i
-            count += 1
-    return found[:count]
-
-
-@jit
-def _rows(values, which):
-    """Some rows of a matrix."""
-    out = np.empty((which.size, values.shape[1]))
-    for i in range(which.size):
-        for a in range(values.shape[1]):
-            out[i, a] = values[which[i], a]
-    return out
 
 
 @jit

@@ -12,10 +12,8 @@ from ..field.cells import (
     MOST_CELLS,
     UNKNOWN,
     cells_in,
-    filled,
     frontier,
     furthest,
-    joined,
     seeded,
     seeds_in_box,
     states_of,
@@ -99,7 +97,7 @@ def flooded(back, step, mu, A, points, most, run):
     cells = seeds_in_box(points, mu, invert_lower(A), furthest(n), low, dims)
     if cells_in(dims) > MOST_CELLS:
         return np.empty(0), low, dims, 0.0, np.empty(0, np.int64)
-    value, asked = filled(int(cells_in(dims)), UNKNOWN), np.empty(0, np.int64)
+    value, asked = np.full(int(cells_in(dims)), UNKNOWN), np.empty(0, np.int64)
     found, highest = seeded(cells, low, dims), -np.inf
     while found.size > 0:
         _, Y = states_of(found, mu, A, low, dims)
@@ -114,7 +112,7 @@ def flooded(back, step, mu, A, points, most, run):
         for k in range(found.size):
             value[found[k]] = log_p[k]
             highest = max(highest, log_p[k])
-        asked = joined(asked, found)
+        asked = np.concatenate((asked, found))
         if asked.size > MOST_ASKED * most:
             break  # far too fine a lattice: the caller takes a coarser one
         found, outside = frontier(value, asked, highest - control.depth, dims, ball)

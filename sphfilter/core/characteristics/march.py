@@ -24,7 +24,6 @@ from ..limits import ROUNDING
 from ..small_matrices import cholesky, moments
 from ..step_control import GROW, HELPED, MORE, next_step
 from .aim import AIMED
-from .budget import ORDER, for_lattice, for_step, nodes_for
 from .control import (
     EVALUATIONS,
     FLOOR,
@@ -57,6 +56,8 @@ _UNSEEN = 0.1  # variance of a step's noise, in units of the lattice, below whic
 _PATIENCE, _GROWING = 10, 1.5  # steps that hardly grow, after which one as long as any may grow is tried
 _FORGOTTEN = 0.95  # of the floor, that is left after a step
 _AGAIN = 2.0  # times what is aimed at, for which a lattice is laid again
+_OVERDRAWN = 0.3  # of an even share, that is left to the rest of an interval at least
+ORDER = 5.0  # of a lattice's residual in its spacing: polynomials of degree 4 leave h^5
 
 back_at, choose_at, aim_at, lay_at, build_at = BACK.at, CHOOSE.at, AIMED.at, LAY.at, BUILD.at
 judge_at, between_at = JUDGE.at, BETWEEN.at
@@ -157,7 +158,7 @@ def march(entries, noise, field, sten, paths, times, run):
                 continue
         allowed, shorter = max(control.share * state[RESIDUAL], state[FLOOR]), np.inf
         if control.steps > 0.0:
-            aimed = for_step(run, h, times[1] - times[0], span)
+            aimed = _for_step(run, h, times[1] - times[0], span)
             allowed = max(allowed, min(aimed, control.share * _MOST))
         state[LATTICE_STEP] = next_step(h, error / allowed, 3.0)  # a step gets h³ wrong
         seen = noise.G.shape[1] == 0 or h * noise_limit(noise.G, field.A) > _UNSEEN
@@ -185,9 +186,9 @@ def march(entries, noise, field, sten, paths, times, run):
             refused = control.lattices > 0.0 and _AGAIN * allowed < gone < HELPED * lost
             if control.lattices == 0.0 or refused:
                 break
-            state[VOLUME], aimed = new.volume, for_lattice(run, h, times[1] - times[0], span)
+            state[VOLUME], aimed = new.volume, _for_lattice(run, h, times[1] - times[0], span)
             count, helped = float(new.x.shape[0]), not residual > HELPED * coarse
-            state[NODES] = nodes_for(residual, aimed, count, control, n) if helped else count
+            state[NODES] = _nodes_for(residual, aimed, count, control, n) if helped else count
             if not helped or residual < _AGAIN * aimed or state[NODES] <= count:
                 break
             coarse = residual
@@ -214,3 +215,25 @@ def march(entries, noise, field, sten, paths, times, run):
         if not state[LOST_MASS] < (control.most_lost if doubted else _UNDOUBTED * control.most_lost):
             return field, x, m, mean, P, LOST
     return field, x, m, mean, P, OK
+
+
+@jit
+def _for_step(run, h, left, span):
+    """Error that a step of length h may have, of those of which the time left is made up."""
+    steps = run.control.steps
+    return h * max((steps - run.state[STEP_ERRORS]) / left, _OVERDRAWN * steps / span)
+
+
+@jit
+def _for_lattice(run, h, left, span):
+    """Residual that the lattice after a step of length h may have; those of lattices add up by squares."""
+    squares = run.control.lattices**2
+    return math.sqrt(h * max((squares - run.state[SQUARES]) / left, _OVERDRAWN * squares / span))
+
+
+@jit
+def _nodes_for(residual, allowed, count, control, n):
+    """Nodes for a residual, after a lattice of `count`, whose own tells."""
+    times = next_step(1.0, residual / allowed, ORDER) ** -n
+    count *= min(max(times, 1.0 / MORE), MORE)
+    return min(max(count, float(control.fewest)), float(control.n_particles))

@@ -12,17 +12,7 @@ from ..field.walls import fold
 from ..limits import LITTLE, ROUNDING, TINY
 from ..small_matrices import cholesky, product
 from ..step_control import next_step
-from .control import (
-    EVALUATIONS,
-    LATTICE_STEP,
-    LONGEST,
-    NOT_FINITE,
-    OK,
-    PATH_STEP,
-    REJECTED,
-    RUN,
-    STALLED,
-)
+from .control import EVALUATIONS, LATTICE_STEP, LONGEST, NOT_FINITE, OK, PATH_STEP, REJECTED, RUN, STALLED
 from .noise_paths import NOISE, Begin, Span, freeze, noise_factor_at, pushes, unblurred
 from .step_limits import blur_share, driven_ends, noise_limit, once_and_twice, path_error, predicted
 

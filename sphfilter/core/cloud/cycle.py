@@ -22,16 +22,7 @@ from .reader import NET, WAY, Part, Reader
 from .reading import foreseen, weigh
 from .steps import LEG
 from .way import begin, carry, carry_linear
-from .weights import (
-    AWAY,
-    any_beyond,
-    compared,
-    effective,
-    near_others,
-    systematic,
-    taken,
-    weighted_moments,
-)
+from .weights import AWAY, any_beyond, compared, effective, near_others, systematic, taken, weighted_moments
 
 #: How a record ends: all is put through; the next cloud has another number of points; what the last reading
 #: left is to be judged, or has missed; the next one is unusual, and is not put through.

@@ -82,3 +82,14 @@ def moved_over(leg, x, u, V, block, key):
     y = x.copy()
     move_at(leg.move)(leg, y, u, V, block, key, 0, -(-x.shape[1] // LANES))
     return y
+
+
+@jit
+def move_along(leg, x, u, V, block, noise):
+    """Move points x (n, N) over a leg in place, as `move` does, along noise (3, d, N) that is given."""
+    (n, N), Z = x.shape, np.zeros((3, V.shape[2], LANES))
+    room = chunk_room(n, leg.root.shape[0])
+    for c in range(-(-N // LANES)):
+        begin, end = c * LANES, min((c + 1) * LANES, N)
+        Z[:, :, : end - begin] = noise[:, :, begin:end]
+        move_chunk(leg, c, x, u, V, block, Z, room)

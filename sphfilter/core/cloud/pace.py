@@ -15,7 +15,7 @@ from .move import over
 from .noise import LANES, OF_STATE, fill_noise, mixed
 from .steps import new_room, walk
 from .way import PILOT
-from .weights import AWAY, eighths, finite_rows, systematic, taken, turned
+from .weights import AWAY, eighths, finite_rows, systematic, taken
 
 #: Groups of the points that tell the bias of steps; where what they show may be chance, more are asked, up to
 #: as many as a shadow has, as long as that costs less than the steps that chance would ask for.
@@ -79,7 +79,7 @@ def tried(motion, span, cloud, key, curve, begin, bounds, allowed):
     (leg, stiff_flow), (every, w), (number, stiff), (least, most) = motion, cloud, begin, bounds
     x, before, again, astray = few(every, w, LOOK, *curve), np.inf, False, False
     far, best, n = farthest(every, w), number, len(every)
-    ends = turned(taken(every, far))
+    ends = np.ascontiguousarray(taken(every, far).T)
     number, own = max(least, number), mixed(np.uint64(key), np.uint64(PILOT))
     while number <= most:
         flow = stiff_flow if stiff else leg.flow
@@ -105,7 +105,7 @@ def tried(motion, span, cloud, key, curve, begin, bounds, allowed):
         helped = too_much < (HELPED if stiff else 1.0) * before or (stiff and wide > WRONG)
         in_vain = again and not helped and number >= 2 * best  # not even twice the steps help
         if not too_much > 1.0 or (stiff and (2 * number > most or in_vain)):
-            return number, stiff, bias, 1.0 - finite_rows(turned(fine))[0].mean(), astray
+            return number, stiff, bias, 1.0 - finite_rows(np.ascontiguousarray(fine.T))[0].mean(), astray
         if in_vain:
             number, stiff, before, again = max(least, FIRST_TRIED), True, np.inf, False
             continue
@@ -141,7 +141,7 @@ def _may_be_chance(looked, every, number, more, apart, chance, allowed):
 def few(x, w, count, table, bits):
     """Rows (count, n) of points of x (n, N) with weights w (N,), in order along the curve."""
     x = taken(x, systematic(w, count, 0.5))
-    return turned(taken(x, along_curve(x, np.full(count, 1.0 / count), table, bits)))
+    return np.ascontiguousarray(taken(x, along_curve(x, np.full(count, 1.0 / count), table, bits)).T)
 
 
 @jit

@@ -13,7 +13,7 @@ from .guide import Ahead, joined, linear_reading, log_normals, residuals, withou
 from .linearise import lower_and_rows
 from .move import affine, moved_over
 from .steps import CUBE, LEG
-from .weights import finite_rows, taken, turned
+from .weights import finite_rows, taken
 
 #: What numbers of a reading's key are for: its guide, and passages k = 0, 1 at PARTS + k.
 GUIDE, PARTS = 11, 20
@@ -72,13 +72,13 @@ def read(reader, x):
     fine, every = finite_rows(x)
     rows = np.full((N, k), np.nan)
     if every:
-        function_at(reader.h)(turned(x), reader.t, reader.p, rows)
+        function_at(reader.h)(np.ascontiguousarray(x.T), reader.t, reader.p, rows)
     elif fine.any():
         asked, some = np.flatnonzero(fine), np.empty((np.count_nonzero(fine), k))
-        function_at(reader.h)(turned(taken(x, asked)), reader.t, reader.p, some)
+        function_at(reader.h)(np.ascontiguousarray(taken(x, asked).T), reader.t, reader.p, some)
         for i in range(asked.size):
             rows[asked[i]] = some[i]
-    return turned(rows)
+    return np.ascontiguousarray(rows.T)
 
 
 @jit

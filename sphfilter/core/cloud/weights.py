@@ -201,17 +201,6 @@ def beside(x, y):
 
 
 @jit
-def turned(x):
-    """An array (n, N) with rows for columns, (N, n)."""
-    n, N = x.shape
-    y = np.empty((N, n))
-    for a in range(n):
-        for i in range(N):
-            y[i, a] = x[a, i]
-    return y
-
-
-@jit
 def effective(w):
     """Effective number of points of weights (N,), (Σ w)² / Σ w²."""
     total, squares = summed(w), summed(w * w)

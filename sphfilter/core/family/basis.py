@@ -119,18 +119,8 @@ def _square(xi):
 
 
 @jit
-def _top(power):
-    """The highest power of powers (M, n)."""
-    top = 0
-    for j in range(power.shape[0]):
-        for a in range(power.shape[1]):
-            top = max(top, power[j, a])
-    return top
-
-
-@jit
 def _values(power, c, xi, out):
-    table, product = np.empty((xi.shape[1], _top(power) + 1, _AT_ONCE)), np.empty(_AT_ONCE)
+    table, product = np.empty((xi.shape[1], power.max() + 1, _AT_ONCE)), np.empty(_AT_ONCE)
     for start in range(0, out.size, _AT_ONCE):
         some, values = xi[start : start + _AT_ONCE], out[start : start + _AT_ONCE]
         _tabulate(some, table)
@@ -146,7 +136,7 @@ def _values(power, c, xi, out):
 def averages(power, xi, mass, first, second):
     """Averages of polynomials of powers (M, n) over points (N, n) of weights (N,), and of their squares."""
     (N, n), M = xi.shape, power.shape[0]
-    table, product = np.empty((n, _top(power) + 1, _AT_ONCE)), np.empty(_AT_ONCE)
+    table, product = np.empty((n, power.max() + 1, _AT_ONCE)), np.empty(_AT_ONCE)
     for j in range(M):
         first[j] = second[j] = 0.0
     for start in range(0, N, _AT_ONCE):

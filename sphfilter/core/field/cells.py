@@ -22,15 +22,6 @@ def cells_in(dims):
 
 
 @jit
-def filled(size, value):
-    """Array of one value."""
-    out = np.empty(size)
-    for k in range(size):
-        out[k] = value
-    return out
-
-
-@jit
 def strides_of(dims):
     """Steps in a flat array for one step along every axis."""
     n = dims.size
@@ -60,21 +51,6 @@ def unravel(flat, strides, cell):
     for a in range(strides.size):
         cell[a] = flat // strides[a]
         flat -= cell[a] * strides[a]
-
-
-@jit
-def marked(mark):
-    """Numbers of the cells that are marked."""
-    count = 0
-    for flat in range(mark.size):
-        count += mark[flat]
-    found = np.empty(count, np.int64)
-    count = 0
-    for flat in range(mark.size):
-        if mark[flat]:
-            found[count] = flat
-            count += 1
-    return found
 
 
 @jit
@@ -121,7 +97,7 @@ def seeded(cells, low, dims):
         for a in range(dims.size):
             flat = flat * dims[a] + cells[i, a] - low[a]
         mark[flat] = True
-    return marked(mark)
+    return np.flatnonzero(mark)
 
 
 @jit
@@ -187,7 +163,7 @@ def opened(value, asked, kept_above, dims, ball):
             keep[asked[k]] = True
             for j in range(ball.shape[0]):
                 keep[inside(cell, ball[j], dims, strides, asked[k])] = True
-    return marked(keep)
+    return np.flatnonzero(keep)
 
 
 @jit
@@ -200,7 +176,7 @@ def widen(value, low, dims, asked):
         new_low[a], new_dims[a] = low[a] - grow[a], dims[a] + 2 * grow[a]
     if cells_in(new_dims) > MOST_CELLS:
         return np.empty(0), new_low, new_dims, asked
-    new, moved = filled(int(cells_in(new_dims)), UNKNOWN), np.empty(asked.size, np.int64)
+    new, moved = np.full(int(cells_in(new_dims)), UNKNOWN), np.empty(asked.size, np.int64)
     for k in range(asked.size):
         rest, at, stride = asked[k], 0, 1
         for a in range(n - 1, -1, -1):
@@ -224,14 +200,3 @@ def grown(value, low, dims, asked, kept_above, ball):
             return None
         found, _ = frontier(value, asked, kept_above, dims, ball)
     return value, low, dims, asked, found
-
-
-@jit
-def joined(one, other):
-    """Two lists of cells as one."""
-    both = np.empty(one.size + other.size, np.int64)
-    for k in range(one.size):
-        both[k] = one[k]
-    for k in range(other.size):
-        both[one.size + k] = other[k]
-    return both

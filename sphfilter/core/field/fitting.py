@@ -38,7 +38,7 @@ def build_field(mu, A, node, kept, log_p, sten):
     for k in range(ahead.size):
         for a in range(n):
             ahead[k] += sten.offsets[k, a] * strides[a]
-    index = _nobody(int(cells_in(dims)))
+    index = np.full(int(cells_in(dims)), -1, np.int64)
     flats = np.zeros(N, np.int64)
     for i in range(N):
         for a in range(n):
@@ -46,7 +46,7 @@ def build_field(mu, A, node, kept, log_p, sten):
         index[flats[i]] = i
     M = sten.parent.size
     coefficient, tail = np.zeros((N, M)), np.zeros((N, n, n))
-    owner = _nobody(index.size)
+    owner = np.full(index.size, -1, np.int64)
     work, V, w = np.empty((n, n)), np.empty((n, n)), np.empty(n)
     least = 0.5 * _widest(node, log_p, w, V, work)
     base = trend(node, log_p, sten)
@@ -85,15 +85,6 @@ def build_field(mu, A, node, kept, log_p, sten):
             owner[flat] = ~owner[flat]
     cap = _cap(log_p[:kept], gaussian)
     return Field(mu, A, invert_lower(A), low, dims, owner, node, kept, log_p, coefficient, cap, tail)
-
-
-@jit
-def _nobody(size):
-    """No owner yet."""
-    out = np.empty(size, np.int64)
-    for k in range(size):
-        out[k] = -1
-    return out
 
 
 @jit

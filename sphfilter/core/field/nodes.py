@@ -6,7 +6,7 @@ import numpy as np
 
 from .._jit import jit
 from ..small_matrices import moments
-from .cells import UNKNOWN, joined, marked, opened, states_of
+from .cells import UNKNOWN, opened, states_of
 from .walls import is_inside, part_inside, share
 
 MOST_ASKED = 12  # cells asked for, over the number of particles wanted
@@ -34,7 +34,7 @@ def relaid(box, mu, A, sten, depth, walls):
     known = np.empty(value.size, np.bool_)
     for flat in range(value.size):
         known[flat] = value[flat] != UNKNOWN
-    asked = marked(known)  # sums do not depend on the order in which the cells were found
+    asked = np.flatnonzero(known)  # sums do not depend on the order in which the cells were found
     _, everywhere = states_of(asked, mu, A, low, dims)
     weight, total, cell = np.empty(asked.size), 0.0, 1.0
     for k in range(asked.size):
@@ -49,7 +49,7 @@ def relaid(box, mu, A, sten, depth, walls):
     log_mass = highest + math.log(total * cell)
     mean, cov = np.empty(n), np.empty((n, n))
     moments(everywhere, weight, mean, cov)
-    both = joined(found, _beside(value, asked, found, highest - 2.0 * depth))
+    both = np.concatenate((found, _beside(value, asked, found, highest - 2.0 * depth)))
     node, x = states_of(both, mu, A, low, dims)
     log_p, m, inside = np.empty(both.size), np.empty(found.size), 0.0
     for k in range(both.size):
@@ -83,4 +83,4 @@ def _beside(value, asked, found, level):
     mark = np.zeros(value.size, np.bool_)
     for k in range(asked.size):
         mark[asked[k]] = not kept[asked[k]] and value[asked[k]] > level
-    return marked(mark)
+    return np.flatnonzero(mark)

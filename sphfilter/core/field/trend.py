@@ -6,7 +6,6 @@ import numpy as np
 
 from .._jit import jit
 from ..small_matrices import extremes
-from .cells import filled
 
 _NODES_A_TERM = 2.5  # nodes there must be for each term
 
@@ -43,7 +42,7 @@ def trend(node, log_p, sten):
             terms = sten.trend[degree]
     if terms == 0:
         return np.empty(0)
-    out, scale, highest = np.zeros(M), filled(M + 1, 1.0), extremes(log_p)[1]
+    out, scale, highest = np.zeros(M), np.ones(M + 1), extremes(log_p)[1]
     b, K = np.empty(M), terms + 1
     A, right = np.zeros((K, K)), np.zeros(K)
     for i in range(N):
