@@ -54,7 +54,7 @@ def beyond(n, degree):
     F fits the lower ones as there, and the higher ones by themselves, as far as the nodes tell them apart. A
     symmetric model leaves a quadratic of one state, or of many, nothing of the next degree.
     """
-    own, more = basis(n, degree), degree + (2 if degree == 2 or n == 1 else 1)
+    own, more = basis(n, degree), degree + (2 if degree % 2 == 0 or n == 1 else 1)
     power, below, root, V = polynomials(n, more, own.xi)
     F = np.ascontiguousarray(np.concatenate([own.F.T, fit(V[len(own.power) :], own.u)]).T)
     return own._replace(power=power, below=below, root=root, V=V, F=F, lower=_lower(n, more))
