@@ -284,7 +284,7 @@ def chosen_steps(
     about = span, cloud, key, places(model.dim), begin, bounds
     with surfacing():
         number, stiff, bias, lost = chosen(motion, *about, allowed)
-    return Steps(number, stiff), bias, lost
+    return Steps(number, stiff), Bias(*bias), lost
 
 
 def _passage(model: Dynamics, x: Floats, span: tuple[float, float], steps: Steps, key: int) -> Passage:

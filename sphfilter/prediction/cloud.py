@@ -46,8 +46,6 @@ from ..model.sde import SDE
 from ._shared import Predicted, blow_up, carried_off, kept, skip_notes
 from .time_slices import slices_at
 
-_PART_OF_WALLS = 0.25  # of a standard deviation: the largest noise of a step beside walls
-
 
 def propagate(
     density: ParticleDensity,
@@ -215,10 +213,6 @@ def _steps(
     shorter = legs ** (1.0 / STEPS_ORDER)  # biases of predictions without a reading between add up
     least = least_steps(model, points.x, span)
     number = math.ceil(dt * shorter / step - 1e-9) if step > 0.0 else FIRST_TRIED
-    if model.domain.walled.any():
-        number = max(least, number, math.ceil(dt / _beside_walls(model, points, span[0])))
-        alike = Steps(_enough(number, most, span), stiff)
-        return alike, alike, pace
     told = state.told.errors.mean
     allowed = bias_allowed(told, len(points.w), state.inherited, DOUBTFUL, target, legs)
     about = Steps(number, stiff), (least, most), allowed, stored_key(state.age, 0)
@@ -239,13 +233,6 @@ def least_steps(model: Dynamics, x: Floats, span: tuple[float, float]) -> int:
     assert isinstance(model, SDE)
     least = math.ceil(dt / model.max_step) if model.max_step < math.inf else 1
     return max(least, slices_at(model, x, *span))
-
-
-def _beside_walls(model: SDE, points: Points, t: float) -> float:
-    """Longest step whose noise sees walls: a small part of the spread along each axis that ends."""
-    D = np.diagonal(model.diffusion(points.x[:LOOK], t), axis1=1, axis2=2).max(axis=0)
-    noisy, variance = model.domain.walled & (D > 0.0), np.diag(moments(points.x, points.w)[1])
-    return float(np.min(_PART_OF_WALLS**2 * variance[noisy] / (2.0 * D[noisy]), initial=math.inf))
 
 
 def _enough(steps: int, most: int, span: tuple[float, float]) -> int:

@@ -35,6 +35,7 @@ from ..core.characteristics.judge import BETWEEN, JUDGE
 from ..core.characteristics.march import Entries, march, needed
 from ..core.characteristics.noise_paths import ALONG, Noise
 from ..core.characteristics.step_choice import CHOOSE
+from ..core.field.field import Field
 from ..core.field.fitting import BUILD
 from ..core.field.stencils import stencils
 from ..core.limits import TINY
@@ -165,9 +166,10 @@ def propagate(
             status = "too much work"
             break
         with surfacing():
-            field, x, mass, mean, cov, code = march(
+            *values, x, mass, mean, cov, code = march(
                 entries, noise, field, stencils(n), rule, times, Run(control, state, counters)
             )
+        field = Field(*values)
         status = STATUS[code]
     if status == "not finite":
         raise PropagationError(blow_up(model, _fastest(model, x, times[0]), times[0], start, t1))

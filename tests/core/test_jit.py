@@ -12,7 +12,10 @@ import numpy as np
 import pytest
 from numba import prange, types
 
+import sphfilter as sf
 from sphfilter.core._jit import jit, jit_for, parallel_jit
+from sphfilter.core.characteristics.march import march
+from sphfilter.core.cloud.pace import chosen
 
 _VECTOR = types.float64[::1]
 
@@ -166,3 +169,14 @@ def test_a_function_edited_in_a_folder_below_its_caller_is_not_run_as_it_was(tmp
     callee = package / "deep" / "callee.py"
     callee.write_text(callee.read_text().replace("return 1", "return 2"))
     assert told(program, tmp_path) == "2"
+
+
+def test_what_takes_long_returns_no_named_tuple_among_other_values():
+    """Numba calls Python to make one; an interrupt that comes out there leaves nothing in its place."""
+    model = sf.SDE.from_expressions(["x"], ["x - x**3"], [["1"]])
+    start = sf.initialize(sf.Gaussian([0.0], [[0.1]]), n_particles=60)
+    for scheme in ("log_density", "cloud"):
+        sf.predict(start, model, 0.1, sf.SolverConfig(scheme=scheme))
+    for function in (march, chosen):
+        for known in function.overloads.values():
+            assert not any(isinstance(value, types.BaseNamedTuple) for value in known.signature.return_type)

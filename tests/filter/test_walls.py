@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from cases.walled_grid import walled_grid_filter
+from scipy.linalg import expm
 from scipy.stats import expon, truncnorm
 
 import sphfilter as sf
@@ -223,3 +224,34 @@ def test_a_filter_before_walls_is_saved_and_goes_on(tmp_path):
     for each in (flt, again):
         each.predict(DT)
     np.testing.assert_array_equal(flt.P, again.P)
+
+
+def _moments_of_a_share(mean, second, pull, home, noise, dt):
+    """Mean and second moment of a Jacobi diffusion after a time: they have linear equations."""
+    rates = [[0, 0, 0], [pull * home, -pull, 0], [0, 2 * pull * home + noise**2, -2 * pull - noise**2]]
+    return (expm(dt * np.array(rates)) @ [1.0, mean, second])[1:]
+
+
+def test_noise_that_vanishes_at_walls_takes_no_probability_there():
+    """Points whose steps passed a wall had no root of their distance: a hundredth was given up."""
+    pull, home, noise = 2.06, 0.35, 0.95
+    drift, root = f"{pull}*({home} - x)", f"{noise}*sqrt(x*(1 - x))"
+    model = sf.SDE.from_expressions(["x"], [drift], [[root]], domain=[("reflecting", 0, 1)])
+    flt = sf.SPHFilter(model, sf.GaussianMeasurement([[1.0]], [[0.05]]), x0=[home], P0=[[0.01]])
+    for z in (0.05, -0.1, 0.0):
+        mean, second = flt.x[0], flt.x[0] ** 2 + flt.P[0, 0]
+        predicted = flt.predict(0.5)
+        exact, square = _moments_of_a_share(mean, second, pull, home, noise, 0.5)
+        spread = np.sqrt(square - exact**2)
+        assert predicted.mass_error == 0.0
+        assert abs(flt.x[0] - exact) < 0.02 * spread
+        assert abs(flt.P[0, 0] / spread**2 - 1.0) < 0.05
+        flt.update(z)
+
+
+def test_a_wall_far_away_asks_for_no_steps():
+    """Noise of a step was a quarter of the spread at most, wherever the wall was: 38,436 steps."""
+    model = sf.SDE.from_expressions(["x"], ["1.5 - x"], [["0.8*sqrt(x)"]], domain=[("reflecting", 0, None)])
+    flt = sf.SPHFilter(model, sf.GaussianMeasurement([[1.0]], [[5e-4]]), x0=[1.4], P0=[[5e-4]])
+    assert flt.predict(1.4).n_steps < 100
+    assert abs(flt.x[0] - (1.5 - 0.1 * np.exp(-1.4))) < 0.01 * flt.P[0, 0] ** 0.5

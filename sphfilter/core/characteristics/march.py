@@ -112,6 +112,14 @@ def wrong(state):
 
 @jit
 def march(entries, noise, field, sten, paths, times, run):
+    """What `carried` returns, its field as values: an interrupt in the making of a named tuple is lost."""
+    told = carried(entries, noise, field, sten, paths, times, run)
+    f, box = told[0], (told[0].mu, told[0].A, told[0].inverse, told[0].low, told[0].dims, told[0].owner)
+    return (*box, f.node, f.kept, f.log_p, f.coefficient, f.cap, f.tail, *told[1:])
+
+
+@jit
+def carried(entries, noise, field, sten, paths, times, run):
     """The field carried from times[0], which is kept up to date, to times[1], seconds.
 
     With it its states and masses, their mean and covariance, and a code of `STATUS`. On failure they are as

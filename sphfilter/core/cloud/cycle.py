@@ -222,10 +222,11 @@ def _paced(parts, leg, stiff_flow, span, s, least, bounds, curve):
     allowed = control.bias_allowed(told, s.many.w.size, 0.0, bounds.doubtful, bounds.target, 1)
     number = math.ceil(dt / s.step - 1e-9) if s.step > 0.0 else FIRST_TRIED
     about = (s.many.x, s.many.w), stored(s.age, 0), curve, Steps(number, s.stiff), (least, bounds.most)
-    steps, stiff, bias, lost = _chosen_at(parts[5])((leg, stiff_flow), span, *about, allowed)
+    steps, stiff, off, lost = _chosen_at(parts[5])((leg, stiff_flow), span, *about, allowed)
     own = over(leg, stiff_flow if stiff else leg.flow, span[0], span[1], steps)
     if lost > 2.0 * MOST_LOST or steps > bounds.most:
         return own, s.step, Bias(np.inf, np.inf)
+    bias = Bias(off[0], off[1])
     step = control.step_after(dt, steps, control.over_allowed(bias, allowed, len(s.many.x)))
     return own, step, bias
 

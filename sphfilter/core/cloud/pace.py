@@ -60,15 +60,15 @@ def chosen(motion, span, cloud, key, curve, begin, bounds, allowed):
     The motion is a leg, and what moves points along its drift where that is stiff; the span begin and end,
     seconds; the cloud points x (n, N) and weights w (N,); the curve a table and its bits. It is begun with
     `Steps` of a model; there are a least and a most number, and more than these where that is not enough.
-    Returns number and `stiff` as of `Steps`, their `Bias`, and the part of the points that the model carries
-    to infinity.
+    Returns number and `stiff` as of `Steps`, the values of their `Bias` (see `cycle`), and the part of the
+    points that the model carries to infinity.
     """
     parts, part, (least, most) = 1, span, bounds
     while True:
         first, own = Steps(max(begin.number // parts, 1), begin.stiff), (-(-least // parts), most // parts)
         steps, stiff, bias, lost, astray = tried(motion, part, cloud, key, curve, first, own, allowed)
         if not astray or parts >= _PARTS:
-            return parts * steps, stiff, bias, lost
+            return parts * steps, stiff, (bias.mean, bias.variance), lost
         parts *= 4
         part = span[0], span[0] + (span[1] - span[0]) / parts
 

@@ -322,14 +322,21 @@ def _add(x, y):
 
 @jit
 def _kick(leg, x, t, w, first, last, room, raw):
-    """Move x along the noises first <= k < last for as long as w (m, K) says: Runge and Kutta's method."""
+    """Move x along the noises first <= k < last for as long as w (m, K) says: Runge and Kutta's method.
+
+    Beyond a wall that reflects noise is that of the mirrored state: a root of the distance has none there.
+    """
     noise, p, root = function_at(leg.noise), leg.p, leg.root
     (K, n), m = x.shape, root.shape[0]
     y, total, k1 = part(room, Y, K, n), part(room, K2, K, n), part(room, K1, K, n)
+    seen = part(room, K3, K, n) if leg.walls else y
     _copy(x, y)
     _fill(total, 0.0)
     for stage in range(4):
-        noise(y, t, p, raw)
+        if leg.walls:
+            _copy(y, seen)
+            bounce(leg.domain, seen)
+        noise(seen, t, p, raw)
         for i in range(K):
             for a in range(n):
                 s = 0.0
