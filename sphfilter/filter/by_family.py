@@ -1,7 +1,6 @@
 """Prior times likelihood as one exponential family, in a frame of its own."""
 
 import math
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +18,7 @@ from ..density.family import (
     moments_apart,
     node_moments,
     node_weights,
-    seen_elsewhere,
+    turned,
 )
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Use, age_of, stored_key
@@ -36,6 +35,10 @@ _APART = 2.5
 _MORE, _NEGLIGIBLE = 2.0, 9.0  # in logarithms: of a posterior over its family, and below its peak
 _SETTLED, _ROUNDS = 1e-3, 8  # of the moments in the frame; rounds
 _LEAST, _MOST, _STEP = 0.05, 4.0, 3.0  # variances, and shift, that one round goes to
+#: Times and part of the frame, in which nodes are looked at once more: both rules miss two modes alike. Of
+#: 208 such posteriors the rules alone told .1 of what is made, with these .7. A Gaussian is off by 5e-5 then
+#: (of up to three states), by 5e-4 one that cubics hold.
+_WIDER, _WIDER_OF_CUBICS = 1.1, 1.05
 
 
 def by_family(
@@ -194,11 +197,17 @@ def family_posterior(
         raise PropagationError(
             f"one family of degree {prior.degree} does not hold the posterior: its frame does not settle"
         )
-    found = Family(mu, np.ascontiguousarray(A), log_p @ rule.F).normalised()
-    product = partial(_product, prior, log_weight)
-    more = seen_elsewhere(product, mu, A, prior.degree, (b, C), log_evidence)
-    products = np.concatenate([log_p, more.log_p]) - log_evidence
-    return FamilyPosterior(found, log_evidence, products, more.apart, more.evidence_apart)
+    found, more = Family(mu, np.ascontiguousarray(A), log_p @ rule.F), turned(len(mu), prior.degree)
+    apart, of_evidence, looks = 0.0, 0.0, [log_p]
+    wider = _WIDER if prior.degree > 3 else _WIDER_OF_CUBICS
+    for times in (1.0, wider, 1.0 / wider):
+        looks.append(_product(prior, log_weight, mu + times * (more.xi @ A.T)))
+        w, own_evidence = node_weights(more, times * A, looks[-1])
+        own_b, own_C = node_moments(more.xi, w)
+        apart = max(apart, moments_apart(b - times * own_b, C - times**2 * own_C))
+        of_evidence = max(of_evidence, abs(log_evidence - own_evidence))
+    products = np.concatenate(looks[:2]) - log_evidence
+    return FamilyPosterior(found.normalised(), log_evidence, products, apart, of_evidence)
 
 
 def _product(prior: Family, log_weight: OfStates, X: Floats) -> Floats:

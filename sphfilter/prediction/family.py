@@ -15,7 +15,7 @@ from ..core.family.rates import DEFECT, RATES, Flow
 from ..core.family.rules import degrees
 from ..density.as_family import defect_in, family_density, family_of
 from ..density.defect import OF_UNSIGNED, Defect, read_out
-from ..density.family import ASTRAY, HIGHEST, Family, node_moments, seen_elsewhere, turned
+from ..density.family import ASTRAY, HIGHEST, Family, miscounted, turned
 from ..density.particle_density import ParticleDensity
 from ..errors import ConfigError, PropagationError, StoppedError
 from ..info import DOUBTFUL, Code, PredictInfo, may_be_off
@@ -89,7 +89,9 @@ def carried_family(
     defect, astray = Defect.of(packed, n), moved.astray
     of_steps = _OF_STEPS / OF_UNSIGNED * report.stepping
     defect = defect._replace(U=defect.U + of_steps**2 * moved.A @ moved.A.T)
-    read, apart = read_out(moved, defect), math.hypot(astray, _elsewhere(moved))
+    before = 0.0 if density.gaussian else miscounted(start)
+    read, more = read_out(moved, defect), max(miscounted(moved) ** 2 - before**2, 0.0)
+    apart = math.hypot(astray, OF_UNSIGNED * math.sqrt(more))  # of what was there before the error knows
     error, of_variance = math.hypot(read.error, apart), math.hypot(read.variance, math.sqrt(2.0) * apart)
     if not error < math.hypot(most, density.error) or not astray < ASTRAY:
         raise PropagationError(
@@ -100,13 +102,6 @@ def carried_family(
     gaussian = density.gaussian and model.linear
     new = family_density(density, moved, t=float(t1), capacity=n_particles, gaussian=gaussian, **told)
     return new, _info(model, report, error, of_variance)
-
-
-def _elsewhere(family: Family) -> float:
-    """How far moments of a family by other nodes are from its own, standard deviations."""
-    w, total = family.weighted()
-    own = node_moments(family.basis.xi, w)
-    return seen_elsewhere(family.log_p, family.mu, family.A, family.degree, own, total).apart
 
 
 @lru_cache(maxsize=64)

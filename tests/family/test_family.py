@@ -266,3 +266,22 @@ def test_two_modes_that_the_nodes_miss_are_told(degree):
         off = abs(mu[1] + A[1] @ (w @ rule.xi) - true) / np.sqrt(p @ (y - true) ** 2 / p.sum())
         told.append(found.apart / off)
     assert np.median(told) > 0.4
+
+
+@pytest.mark.parametrize(
+    ("dt", "z", "R"), [(0.25, 0.1, 0.3), (0.25, 1.0, 1e-4), (0.5, 1.0, 0.3), (0.5, 0.1, 1e-4)]
+)
+def test_what_a_symmetric_model_leaves_out_is_told(dt, z, R):
+    """Of log p the degree after an even one is nothing then: .03 to .5 of what is made were told."""
+    model = sf.SDE.from_expressions(["x", "v"], ["v", "-x - 0.3*x**3 - 0.2*v"], [["0"], ["1"]])
+    sensor, found = sf.GaussianMeasurement([[1.0, 0.0]], [[R]]), []
+    for target in (0.01, 0.001):
+        config = sf.FilterConfig(target_error=target)
+        flt = sf.SPHFilter(model, sensor, [0.0, 0.0], np.eye(2), config=config)
+        found.append((flt, flt.predict(dt), flt.update([z])))
+    (flt, predicted, info), (exact, *_) = found
+    assert predicted.rung == "family"
+    off = np.sqrt(np.mean((flt.x - exact.x) ** 2 / np.diag(exact.P)))
+    wider = np.abs(np.diag(flt.P) / np.diag(exact.P) - 1.0).max()
+    made = np.array([off, wider, abs(flt.log_evidence - exact.log_evidence)])
+    assert np.all(made < 2.0 * np.array([info.error, info.variance_error, info.evidence_error]))
