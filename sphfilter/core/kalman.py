@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from ._jit import jit
-from .limits import LOG_2_PI
-from .small_matrices import add_squared, cholesky, whiten
+from .small_matrices import add_squared, cholesky, log_peak, whiten
+from .sums import dot
 
 
 @jit
@@ -19,11 +19,8 @@ def log_normal(off, S):
     if not cholesky(S, F):
         return np.nan, 0.0
     whiten(F, y)
-    squares, log_peak = 0.0, -0.5 * LOG_2_PI * y.size
-    for a in range(y.size):
-        squares += y[a] * y[a]
-        log_peak -= math.log(F[a, a])
-    return log_peak - 0.5 * squares, math.sqrt(squares)
+    squares = dot(y, y)
+    return log_peak(F) - 0.5 * squares, math.sqrt(squares)
 
 
 @jit
@@ -38,14 +35,12 @@ def conditioned(mean, cov, off, H, R):
     x, P, off, h = mean.copy(), cov.copy(), off.copy(), H.T.copy()
     (K, n), k = mean.shape, len(R)
     log_p, F, room = np.empty(K), np.empty((k, k)), (np.empty(n), np.empty((3, n, n)))
-    log_peak = -0.5 * LOG_2_PI * k if cholesky(R, F) else np.nan
-    for c in range(k):
-        log_peak -= math.log(F[c, c])
+    peak = log_peak(F) if cholesky(R, F) else np.nan
     for b in range(n):
         whiten(F, h[b])
     for j in range(K):
         whiten(F, off[j])
-        log_p[j] = log_peak
+        log_p[j] = peak
         for c in range(k):
             log_p[j] += _read(x[j], P[j], off[j], h, c, room)
     return x, P, log_p

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from ._jit import jit
+from .limits import LOG_2_PI
 
 
 @jit
@@ -70,6 +71,15 @@ def solve_factored(L, v):
         for b in range(a + 1, v.size):
             v[a] -= L[b, a] * v[b]
         v[a] /= L[a, a]
+
+
+@jit
+def log_peak(F):
+    """Logarithm of N(0; 0, F Fᵀ), F (k, k) lower."""
+    s = -0.5 * LOG_2_PI * len(F)
+    for a in range(len(F)):
+        s -= math.log(F[a, a])
+    return s
 
 
 @jit

@@ -52,10 +52,12 @@ class Defect(NamedTuple):
         return cls(np.zeros(M), family.A @ family.A.T * (error / OF_UNSIGNED) ** 2, error)
 
     @classmethod
-    def of(cls, packed: Floats, n: int) -> "Defect":
-        """The defect that is in one array, as compiled code has it."""
-        M = len(packed) - n * n - 1
-        return cls(packed[:M].copy(), packed[M:-1].reshape(n, n).copy(), float(packed[-1]))
+    def of(cls, packed: Floats, family: Family) -> "Defect":
+        """The defect of a family in one array, as compiled code has it; old files have fewer polynomials."""
+        n = len(family.mu)
+        known, e = len(packed) - n * n - 1, np.zeros(len(beyond(n, family.degree).power))
+        e[:known] = packed[:known]
+        return cls(e, packed[known:-1].reshape(n, n).copy(), float(packed[-1]))
 
     @property
     def packed(self) -> Floats:

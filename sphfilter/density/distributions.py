@@ -1,5 +1,7 @@
 """Distributions a density may start from: a Gaussian, or a uniform box."""
 
+import math
+import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from .._lines import in_a_line
 from .._types import Floats, OfStates
+from ..core.field.walls import Walls
 from ..errors import ModelError
 from ..validate import array, covariance
 
@@ -37,6 +40,18 @@ class Gaussian:
         from scipy import stats  # on use: import time
 
         return np.atleast_1d(stats.multivariate_normal(self.mean, self.cov).pdf(X))
+
+
+def check_within(gaussian: Gaussian, walls: Walls) -> None:
+    """Refuse a Gaussian that has no probability within some walls, low and high (n,), up to rounding."""
+    states = zip(gaussian.mean, np.sqrt(np.diag(gaussian.cov)), *walls, strict=False)  # without walls none
+    for a, (mean, deviation, low, high) in enumerate(states):
+        off = max(low - mean, mean - high) / deviation
+        if math.erfc(off / math.sqrt(2.0)) < 2.0 * sys.float_info.epsilon:
+            raise ModelError(
+                f"the start lies {off:.3g} standard deviations beyond a wall: state {a} is {mean:g} ± "
+                f"{deviation:.3g}, between {low:g} and {high:g}; check its mean, and its units"
+            )
 
 
 @dataclass(frozen=True)

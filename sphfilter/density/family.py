@@ -25,7 +25,7 @@ ASTRAY = 0.3  # of a frame's moments: no family holds the density then; measured
 OF_MISFIT = 0.5
 _NODES = {1: 200, 2: 1000, 3: 4000, 4: 12_000}  # of a lattice for questions, of four states and more the last
 HIGHEST = 6  # degree that is taken unless another is asked for
-FEW = 3  # states, of which a rule of 12³ = 1,728 nodes costs less than a step
+_FEW = 3  # states, of which a rule of 12³ = 1,728 nodes costs less than a step
 ON_LATTICE = 2  # states up to which a lattice answers, and may come after one family
 
 
@@ -84,9 +84,9 @@ class Family(NamedTuple):
 def _fine_rule(n: int) -> tuple[Floats, Floats]:
     """Nodes (N, n) of Gauss's rule, twelve along each state, and logarithms of weights over the density."""
     points, weights = np.polynomial.hermite_e.hermegauss(12)  # to degree 23: three of a quartic's exponent
-    xi = np.stack(np.meshgrid(*n * [points], indexing="ij"), axis=-1).reshape(-1, n)
-    log_w = np.log(np.stack(np.meshgrid(*n * [weights]), axis=-1).reshape(-1, n)).sum(axis=1)
-    return xi, log_w + 0.5 * (xi * xi).sum(axis=1)
+    each = np.indices(n * (12,)).reshape(n, -1).T
+    xi = points[each]
+    return xi, np.log(weights)[each].sum(axis=1) + 0.5 * (xi * xi).sum(axis=1)
 
 
 def miscounted(family: Family) -> float:
@@ -94,12 +94,13 @@ def miscounted(family: Family) -> float:
 
     Zero of four states and more, where many are too many, and of odd degrees, whose far ends are none.
     """
-    if len(family.mu) > FEW or family.degree % 2:
+    n = len(family.mu)
+    if n > _FEW or family.degree % 2:
         return 0.0
-    xi, log_w = _fine_rule(len(family.mu))
-    log_p = family.log_p(family.mu + xi @ family.A.T) + log_w
-    w = np.exp(log_p - log_p.max())
-    b, C = node_moments(xi, w / w.sum())
+    xi, log_w = _fine_rule(n)
+    w = np.empty(len(xi))
+    weigh(log_w, n, family.log_p(family.mu + xi @ family.A.T), w)
+    b, C = node_moments(xi, w)
     own_b, own_C = node_moments(family.basis.xi, family.weighted()[0])
     return moments_apart(b - own_b, C - own_C)
 

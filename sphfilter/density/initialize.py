@@ -2,7 +2,6 @@
 
 import logging
 import math
-import sys
 from dataclasses import replace
 from functools import cache
 from typing import Any, Literal, TypeAlias
@@ -30,7 +29,7 @@ from ..lattice.level_set import (
 from ..lattice.regular import Lattice, heaviest, place_gaussian
 from ..model.domain import Domain, DomainLike
 from ..validate import array, choice, count, real, row
-from .distributions import Gaussian, Uniform, checked_box, gaussian_log_pdf
+from .distributions import Gaussian, Uniform, check_within, checked_box, gaussian_log_pdf
 from .family import gaussian_family, particles_of
 from .memory import Memory, max_particles
 from .particle_density import ParticleDensity
@@ -106,7 +105,8 @@ def initialize(
     [[3.93]]
     """
     scheme = (config or SolverConfig()).scheme
-    _check_walls(distribution, domain)
+    if isinstance(distribution, Gaussian) and domain is not None:
+        check_within(distribution, Domain.of(domain, len(distribution.mean)).walls)
     if isinstance(n_particles, str):
         choice("n_particles", n_particles, ["auto"])
     bound = max_particles("auto" if n_particles is None else n_particles, config)
@@ -128,21 +128,6 @@ def initialize(
         return _from_gaussian(distribution, n_particles, scheme, t)
     pdf, box = _seen_from(distribution, box, domain)
     return _from_pdf(pdf, box, n_particles, scheme, t, domain)
-
-
-def _check_walls(distribution: Distribution, domain: DomainLike) -> None:
-    """Refuse a Gaussian that has no probability within the walls of a domain, up to rounding."""
-    if not isinstance(distribution, Gaussian) or domain is None:
-        return
-    low, high = Domain.of(domain, len(distribution.mean)).walls
-    for a in range(len(low)):
-        mean, deviation = distribution.mean[a], math.sqrt(distribution.cov[a, a])
-        off = max(low[a] - mean, mean - high[a]) / deviation
-        if math.erfc(off / math.sqrt(2.0)) < 2.0 * sys.float_info.epsilon:
-            raise ModelError(
-                f"the start lies {off:.3g} standard deviations beyond a wall: state {a} is {mean:g} ± "
-                f"{deviation:.3g}, between {low[a]:g} and {high[a]:g}; check its mean, and its units"
-            )
 
 
 def _to_target(

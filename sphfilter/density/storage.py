@@ -93,7 +93,7 @@ def density_from(arrays: Arrays, models: Sequence[Dynamics] = ()) -> ParticleDen
         if fields_of := part(name, arrays):
             about[name] = kind(**fields_of)
     if "defect" in arrays:
-        about["defect"] = Defect.of(arrays["defect"], about["family"].mu.size)
+        about["defect"] = Defect.of(arrays["defect"], about["family"])
     if "moments.mean" in arrays:
         about["moments"] = arrays["moments.mean"], arrays["moments.cov"]
     if "cloud.points.x" in arrays:
@@ -179,7 +179,7 @@ def _points_of_families(arrays: Arrays, about: dict[str, Any]) -> ParticleDensit
 def _origin_from(arrays: Arrays) -> Origin:
     family = Family(arrays["mu"], arrays["A"], arrays["c"])
     unsigned, log_mass = arrays["about"].tolist()
-    defect = Defect.of(arrays["defect"], len(family.mu))
+    defect = Defect.of(arrays["defect"], family)
     return Origin(family, defect, unsigned, arrays.get("off"), log_mass)
 
 

@@ -86,7 +86,7 @@ def carried_family(
     if STATUS[report.code] != "ok":
         raise _given_up(model, y, report, density.t, t1)
     moved = Family(y[:n].copy(), y[n : n + n * n].reshape(n, n).copy(), y[n + n * n :].copy()).normalised()
-    defect, astray = Defect.of(packed, n), moved.astray
+    defect, astray = Defect.of(packed, moved), moved.astray
     of_steps = _OF_STEPS / OF_UNSIGNED * report.stepping
     defect = defect._replace(U=defect.U + of_steps**2 * moved.A @ moved.A.T)
     before = 0.0 if density.gaussian else miscounted(start)

@@ -97,13 +97,6 @@ def unknown(x, t):
     return np.linalg.no_such_function(x)
 
 
-class Bound:
-    """What has a drift that is no function."""
-
-    def method(self, x, t):
-        return (-x[0],)
-
-
 WALLS = [("bounded", -6.0, 6.0)]
 FLAT = sf.SDE.from_expressions(["x", "y"], ["-40*x", "-y"], [["0"], ["1"]])
 STEEP = sf.LogDensityScheme(max_steps=1)
@@ -207,7 +200,7 @@ SAID = [
     lambda: laid(sf.Gaussian(np.zeros(13), np.eye(13)), "auto"),
     lambda: laid(ROUND, 4),
     lambda: sf.SDE(unknown, 1, [[1.0]]),
-    lambda: sf.SDE(Bound().method, 1, [[1.0]]),
+    lambda: sf.SDE(type("Bound", (), {"drift": lambda self, x, t: (-x[0],)})().drift, 1, [[1.0]]),
     lambda: sf.SDE(silent, 1, [[1.0]]),
     lambda: sf.SDE(beyond, 1, [[1.0]]),
     lambda: line("y"),

@@ -33,6 +33,5 @@ def test_two_sharp_sensors_of_one_state_know_twice_as_much(R):
     held.update([0.1 + 0.0005 * np.sqrt(R)])
     np.testing.assert_allclose(found.x, held.x, rtol=1e-12)
     np.testing.assert_allclose(np.diag(found.P), np.diag(held.P), rtol=1e-5)
-    # what their difference says of them, whatever the state
-    more = -0.5 * np.log(4.0 * np.pi * R) - 0.25e-6
+    more = -0.5 * np.log(4.0 * np.pi * R) - 0.25e-6  # what their difference says of them
     assert abs(found.log_evidence - held.log_evidence - more) < 1e-4

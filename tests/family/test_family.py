@@ -268,16 +268,13 @@ def test_two_modes_that_the_nodes_miss_are_told(degree):
     assert np.median(told) > 0.4
 
 
-@pytest.mark.parametrize(
-    ("dt", "z", "R"), [(0.25, 0.1, 0.3), (0.25, 1.0, 1e-4), (0.5, 1.0, 0.3), (0.5, 0.1, 1e-4)]
-)
+@pytest.mark.parametrize("dt, z, R", [(0.25, 0.1, 0.3), (0.25, 1.0, 1e-4), (0.5, 1.0, 0.3), (0.5, 0.1, 1e-4)])
 def test_what_a_symmetric_model_leaves_out_is_told(dt, z, R):
     """Of log p the degree after an even one is nothing then: .03 to .5 of what is made were told."""
     model = sf.SDE.from_expressions(["x", "v"], ["v", "-x - 0.3*x**3 - 0.2*v"], [["0"], ["1"]])
     sensor, found = sf.GaussianMeasurement([[1.0, 0.0]], [[R]]), []
     for target in (0.01, 0.001):
-        config = sf.FilterConfig(target_error=target)
-        flt = sf.SPHFilter(model, sensor, [0.0, 0.0], np.eye(2), config=config)
+        flt = sf.SPHFilter(model, sensor, [0.0, 0.0], np.eye(2), config=sf.FilterConfig(target_error=target))
         found.append((flt, flt.predict(dt), flt.update([z])))
     (flt, predicted, info), (exact, *_) = found
     assert predicted.rung == "family"

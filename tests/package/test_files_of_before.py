@@ -233,6 +233,17 @@ def test_a_sum_of_families_goes_on_as_points():
     assert density_from(stored(moved), (model,)).read_out == "cloud"
 
 
+def test_a_defect_of_fewer_polynomials():
+    model = sf.SDE.from_expressions(["x", "v"], ["v", "-x - 0.3*x**3"], [["0"], ["1"]])
+    flt = sf.SPHFilter(model, None, [0.3, 0.0], np.eye(2))
+    flt.predict(0.2)
+    arrays, defect = stored(flt.density), flt.density.defect
+    arrays["defect"] = np.delete(arrays["defect"], range(21, 28))  # those of degree six
+    old = density_from(arrays).defect
+    np.testing.assert_array_equal(old.e, np.append(defect.e[:21], np.zeros(7)))
+    np.testing.assert_array_equal(old.packed[28:], defect.packed[28:])
+
+
 def test_needs_of_seven_numbers():
     density = sf.initialize(sf.Gaussian(np.zeros(2), np.eye(2)), 80)
     arrays = stored(replace(density, needs=Memory(4, 1, 2, 90, 1024, 3, 5, True)))

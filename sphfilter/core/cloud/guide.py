@@ -11,8 +11,8 @@ import numpy as np
 
 from .._jit import jit
 from ..elementary import FAST
-from ..limits import LARGEST_EXPONENT, LOG_2_PI
-from ..small_matrices import cholesky, invert_lower, solve_factored
+from ..limits import LARGEST_EXPONENT
+from ..small_matrices import cholesky, invert_lower, log_peak, solve_factored
 from ..sums import summed
 from .blocks import add_products, end_of_block, multiplied, products, squares
 from .noise import even_normals, uniform
@@ -167,7 +167,7 @@ def linear_reading(moved, h, H, R, angle, misses):
 @jit
 def log_normals(z, h, angle, F):
     """Logarithms (N,) of N(z; h, F Fᵀ) at readings h (k, N), angles wrapped; and how many are NaN."""
-    (k, N), wrong, peak = h.shape, 0, _log_peak(F)
+    (k, N), wrong, peak = h.shape, 0, log_peak(F)
     out = squares(invert_lower(F).reshape(1, k, k), residuals(z, h, angle), np.zeros(N, np.int64))
     for i in range(N):
         out[i] = peak - 0.5 * out[i]
@@ -209,15 +209,6 @@ def _gain(HL, R, S, K, T):
                 s -= K[a, c] * HL[c, e]
             rest[a, e] = s
     return cholesky(rest, T)
-
-
-@jit
-def _log_peak(F):
-    """Logarithm of N(0; 0, F Fᵀ), F (k, k) lower."""
-    s = -0.5 * LOG_2_PI * len(F)
-    for a in range(len(F)):
-        s -= math.log(F[a, a])
-    return s
 
 
 @jit
@@ -285,7 +276,7 @@ def _how_often(a, y, led, count):
 def _inverse(F, out):
     """Fill the inverse of a lower F (k, k); return the logarithm of N(0; 0, F Fᵀ)."""
     out[:] = invert_lower(F)
-    return _log_peak(F)
+    return log_peak(F)
 
 
 @jit
