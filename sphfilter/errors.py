@@ -71,7 +71,7 @@ class EstimationError(SphfilterError, RuntimeError):
     >>> import sphfilter as sf
     >>> model = sf.SDE.from_expressions(["x"], ["-x + 0*a"], [["1"]], parameters={"a": 1.0})
     >>> level = sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[0.1]])
-    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]], n_particles=50)
+    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]])
     >>> sf.fit_parameters(flt, [1.0, 2.0], [0.3, -0.2], {"a": 1.0})
     Traceback (most recent call last):
     ...

@@ -139,7 +139,7 @@ def _together(parts: list[_Ways]) -> _Ways:
 def _fresh(passages: Any, count: int, n: int, key: Any) -> tuple[Any, Any]:
     """Normals (count, n) and noise beside them of every passage."""
     noise = [
-        None if p.leg is None else noise_of(sub_key(key, 100 + k), count, p.rows.shape[2], p.leg.kind)
+        noise_of(sub_key(key, 100 + k), count, p.rows.shape[2], p.leg.kind, p.leg.walls) if p.leg else None
         for k, p in enumerate(passages)
     ]
     return normals(count, n, key, len(passages)), tuple(noise)

@@ -66,7 +66,7 @@ class ParameterFit(Pickled):
     >>> level = sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[0.1]])
     >>> times = 0.4 * np.arange(1, 31)
     >>> _, z = sf.simulate(model, level, x0=[0.0], times=times, rng=3)
-    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]], n_particles=50)
+    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]])
     >>> fit = sf.fit_parameters(flt, times, z, guess={"a": 0.5})
     >>> print(f"{fit.estimate['a']:.2f} ± {fit.standard_error['a']:.2f}, AIC {fit.aic:.1f}")
     0.85 ± 0.41, AIC 70.1
@@ -234,7 +234,7 @@ def fit_parameters(
     >>> level = sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[0.1]])
     >>> times = 0.4 * np.arange(1, 31)
     >>> _, z = sf.simulate(model, level, x0=[0.0], times=times, rng=3)
-    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]], n_particles=50)
+    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]])
     >>> print(sf.fit_parameters(flt, times, z, guess={"a": 0.5}))
     a = 0.84... ± 0.41
     log-evidence -34.05... ± ... nat; the maximum was found...
@@ -243,7 +243,7 @@ def fit_parameters(
 
     >>> def build(p):
     ...     sensor = level.changed(noise_cov=p["R"])
-    ...     return sf.SPHFilter(model, sensor, x0=[0.0], P0=[[0.1]], n_particles=50)
+    ...     return sf.SPHFilter(model, sensor, x0=[0.0], P0=[[0.1]])
     >>> fit = sf.fit_parameters(build, times, z, guess={"R": 0.2}, bounds={"R": (0.0, None)})
     >>> print(fit.status)
     the maximum was found...
@@ -319,7 +319,7 @@ def profile_evidence(
     >>> level = sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[0.1]])
     >>> times = 0.4 * np.arange(1, 31)
     >>> _, z = sf.simulate(model, level, x0=[0.0], times=times, rng=3)
-    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]], n_particles=50)
+    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]])
     >>> fit = sf.fit_parameters(flt, times, z, guess={"a": 0.5})
     >>> sides = fit.estimate["a"] + fit.standard_error["a"] * np.array([-1.0, 0.0, 1.0])
     >>> profile = sf.profile_evidence(flt, times, z, fit, "a", sides)

@@ -186,16 +186,16 @@ def _shape(filt: SPHFilter, start: Callable[..., SPHFilter], evidence: Evidence)
     if not filt.adapts:
         return {"n_particles": filt.n_particles, "config": filt.config}
     on_particles = {"n_particles": USUAL, "config": filt.config}
-    trial, degree = start(config=filt.config), 0
+    trial, degree, exact = start(config=filt.config), 0, filt.model.linear
     driving = each_input(filt.model.inputs, evidence.inputs, len(evidence.times))
     for t, z, u in zip(evidence.times, evidence.measurements, driving, strict=True):
         for step in (partial(trial.predict, t=t, u=u), partial(trial.update, z)):
             step()
-            own = trial.density.form.degree
+            own, exact = trial.density.form.degree, exact and trial.density.gaussian
             if own == 0:
                 return on_particles
             degree = max(degree, own)
-    if isinstance(filt.model, DiscreteModel):
+    if exact or isinstance(filt.model, DiscreteModel):
         return {"config": filt.config}  # in closed form, every step
     scheme = FamilyScheme(degree=degree, tolerance=_TOLERANCE)
     return {"config": replace(filt.config, scheme=scheme)}

@@ -53,8 +53,8 @@ class ModelComparison:
     >>> level = sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[0.1]])
     >>> times = 0.4 * np.arange(1, 31)
     >>> _, z = sf.simulate(model, level, x0=[0.0], times=times, rng=3)
-    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]], n_particles=50)
-    >>> wanders = sf.SPHFilter(model.with_parameters(a=0.0), level, x0=[0.0], P0=[[0.1]], n_particles=50)
+    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]])
+    >>> wanders = sf.SPHFilter(model.with_parameters(a=0.0), level, x0=[0.0], P0=[[0.1]])
     >>> found = sf.compare_models({"wanders": wanders, "returns": flt}, times, z)
     >>> for name, factor, word in zip(found.names, found.log_bayes_factor, found.words):
     ...     print(f"{name}: {factor:.1f} nat, {word}")
@@ -169,8 +169,8 @@ def compare_models(
     >>> level = sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[0.1]])
     >>> times = 0.4 * np.arange(1, 31)
     >>> _, z = sf.simulate(model, level, x0=[0.0], times=times, rng=3)
-    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]], n_particles=50)
-    >>> wanders = sf.SPHFilter(model.with_parameters(a=0.0), level, x0=[0.0], P0=[[0.1]], n_particles=50)
+    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]])
+    >>> wanders = sf.SPHFilter(model.with_parameters(a=0.0), level, x0=[0.0], P0=[[0.1]])
     >>> print(sf.compare_models({"wanders": wanders, "returns": flt}, times, z))
     model    log-evidence    error  fitted  rejected       AIC       BIC  log Bayes factor
     returns       -34.237  ...       0         0     68.47     68.47             0.000  the best

@@ -56,7 +56,7 @@ class ParameterPosterior(Pickled):
     >>> level = sf.GaussianMeasurement.from_expressions(["x"], ["x"], [["R"]], parameters={"R": 0.1})
     >>> times = 0.4 * np.arange(1, 21)
     >>> _, z = sf.simulate(model, level, x0=[0.0], times=times, rng=3)
-    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]], n_particles=50)
+    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]])
     >>> fit = sf.fit_parameters(flt, times, z, guess={"R": 0.2}, bounds={"R": (0.0, None)})
     >>> posterior = fit.posterior(n_draws=256)
     >>> low, high = posterior.quantile("R", [0.05, 0.95])

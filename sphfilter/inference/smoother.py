@@ -80,7 +80,7 @@ class SmoothedResult:
     >>> level = sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[0.1]])
     >>> times = 0.4 * np.arange(1, 31)
     >>> _, z = sf.simulate(model, level, x0=[0.0], times=times, rng=3)
-    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]], n_particles=50)
+    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]])
     >>> smoothed = sf.smooth(flt, times, z)
     >>> print(smoothed.x.shape, round(smoothed.densities[3].quantile(0, 0.5), 2))
     (30, 1) -0.04
@@ -157,7 +157,7 @@ def smooth(
     >>> level = sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[0.1]])
     >>> times = 0.4 * np.arange(1, 31)
     >>> _, z = sf.simulate(model, level, x0=[0.0], times=times, rng=3)
-    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]], n_particles=50)
+    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]])
     >>> smoothed = sf.smooth(flt, times, z)
     >>> before, after = smoothed.filtered.P[5, 0, 0], smoothed.densities[5].cov()[0, 0]
     >>> print(f"variance {before:.4f} before later measurements, {after:.4f} after")

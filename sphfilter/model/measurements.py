@@ -152,9 +152,9 @@ class GaussianMeasurement(Adjustable):
     dim_z : int
         k.
     noise_cov : ndarray, shape (k, k), or None
-        None when R is a function; see `covariance`.
+        None when R is a function, or a text that names states or t; see `covariance`.
     H : ndarray, shape (k, n), or None
-        None when h or R is a function.
+        None when h or R is a function, or a text that is no matrix times the states.
     angles : tuple of int
     parameters, inputs : mapping of str to float, read-only
     directly_observed : tuple of (ndarray of int (k,), ndarray (k,)), or None
@@ -186,9 +186,11 @@ class GaussianMeasurement(Adjustable):
     gaussian_noise = True
     noise_cov: Floats | None
     H: Floats | None
+    directly_observed: tuple[Ints, Floats] | None
     _matrix: Floats | None  # h, whatever R is
     _fill: BatchFunction | None
     _noise: BatchFunction | None
+    _linear = _constant = False  # whether the text of h is linear, and that of R the same everywhere
     _n: int | None  # states, where known
 
     @validate.keywords
@@ -254,7 +256,8 @@ class GaussianMeasurement(Adjustable):
         names = words.with_states(states)
         self._begin(GaussianMeasurement.from_expressions, recipe | {"angles": tuple(_listed(angles))}, values)
         self._n = len(states)
-        self._fill = symbolic_rows(states, h, "h", names)
+        self._fill, degree = symbolic_rows(states, h, "h", names)
+        self._linear = degree == 1
         texts = _texts(noise_cov)
         if texts is None:
             self._set_noise(noise_cov, False, h, None)
@@ -263,7 +266,8 @@ class GaussianMeasurement(Adjustable):
             if [len(row) for row in texts] != [len(h)] * len(h):
                 raise ModelError(f"noise_cov must be {len(h)} rows of {len(h)}, one for each of h")
             where = [f"noise_cov[{i}][{j}]" for i, row in enumerate(texts) for j in range(len(row))]
-            self._noise = symbolic_rows(states, [text for row in texts for text in row], where, names)
+            rows = symbolic_rows(states, [text for row in texts for text in row], where, names)
+            self._noise, self._constant = rows.fill, rows.degree == 0
         words.check_used(names)
         self._tail = names.data
         self._finish(angles, len(h))
@@ -289,6 +293,29 @@ class GaussianMeasurement(Adjustable):
     def _set(self, values: Values) -> None:
         super()._set(values)
         self._p = np.concatenate([*values.data, self._tail])
+        if self._linear or self._constant:
+            vars(self).update(self._matrices(np.eye(self._n or 0)))
+
+    def _matrices(self, X: Floats) -> dict[str, Any]:
+        """The attributes of a sensor whose text says matrices, by states (n, n) each of one and zeros.
+
+        Where the values of parameters make R no covariance, it stays a function, which says so when asked.
+        """
+        k, R, matrix = self.dim_z, self.noise_cov, self._matrix
+        if self._constant:
+            assert self._noise is not None
+            try:
+                R = validate.covariance("noise_cov", filled(self._noise, X[:1], 0.0, self._p, k, k)[0])
+                R.setflags(write=False)
+            except ModelError:
+                R = None
+        if self._linear:
+            assert self._fill is not None
+            matrix = filled(self._fill, X, 0.0, self._p, k).T.copy()
+            matrix.setflags(write=False)
+        H = None if R is None else matrix
+        direct = direct_states(H, R, self.angles)
+        return {"noise_cov": R, "_matrix": matrix, "H": H, "directly_observed": direct, "_factors": {}}
 
     def _set_noise(self, noise_cov: Any, vectorized: bool, h: Any, dim_z: int | None) -> None:
         """Take R, a matrix or a function of a known number of readings."""
@@ -325,7 +352,7 @@ class GaussianMeasurement(Adjustable):
         if self.angles and self.angles[-1] >= self.dim_z:
             raise ModelError(f"angles names component {self.angles[-1]}, but z has {self.dim_z} (from 0).")
         self._set(self._values)
-        self.directly_observed = direct_states(self.H, self.noise_cov, self.angles)
+        vars(self)["directly_observed"] = direct_states(self.H, self.noise_cov, self.angles)
 
     def changed(
         self, noise_cov: ArrayLike | None = None, h: ArrayLike | StateFunction | None = None
@@ -334,12 +361,14 @@ class GaussianMeasurement(Adjustable):
         if noise_cov is not None and np.ndim(noise_cov) == 0:
             noise_cov = validate.positive("noise_cov", noise_cov) * np.eye(self.dim_z)
         if h is not None:
-            cov: Any = self._recipe["noise_cov"] if noise_cov is None else noise_cov
+            own = self._recipe["noise_cov"] if self.noise_cov is None else self.noise_cov
+            cov: Any = own if noise_cov is None else noise_cov
             return GaussianMeasurement(h, cov, self.angles, **self._values._asdict())
         new = self._copied()
         if noise_cov is not None:
             del new.directly_observed
-            new._recipe, new._factors, new._noise = self._recipe | {"noise_cov": noise_cov}, {}, None
+            new._recipe, new._factors = self._recipe | {"noise_cov": noise_cov}, {}
+            new._noise, new._constant = None, False
             new._set_noise(noise_cov, False, None, None)
             new.H = new._matrix
             new._finish(self.angles, self.dim_z)
@@ -350,7 +379,7 @@ class GaussianMeasurement(Adjustable):
 
     def __repr__(self) -> str:
         h = _shown(self._recipe["h"])
-        R = _shown(self._recipe["noise_cov"] if self.noise_cov is None else self.noise_cov)
+        R = _shown(self._recipe["noise_cov"] if self._noise else self.noise_cov)
         more = (("angles", list(self.angles)), ("parameters", dict(self.parameters)))
         shown = "".join(f", {name}={value}" for name, value in more if value)
         return f"GaussianMeasurement(h={h}, noise_cov={R}{shown})"
@@ -368,8 +397,9 @@ class GaussianMeasurement(Adjustable):
         """Return R in each state X (N, n), shape (N, k, k)."""
         X = np.array(X, dtype=float, order="C", ndmin=2)
         self.check_dim(X.shape[1])
-        if self._noise is None:
-            return np.broadcast_to(self.noise_cov, (len(X), self.dim_z, self.dim_z))  # type: ignore[arg-type]
+        if self.noise_cov is not None:
+            return np.broadcast_to(self.noise_cov, (len(X), self.dim_z, self.dim_z))
+        assert self._noise is not None
         return filled(self._noise, X, t, self._p, self.dim_z, self.dim_z)
 
     def check_dim(self, n: int) -> None:
@@ -423,7 +453,7 @@ class GaussianMeasurement(Adjustable):
         # a state where h is undefined gives NaN here, for the caller to judge
         off = self.residual(z, self.predict(X, t))
         off = off if came == len(seen) else off[:, seen]
-        if self._noise is not None:
+        if self.noise_cov is None:
             L = self._roots(X, t, seen)
             y = np.linalg.solve(L, off[:, :, None])[:, :, 0]
             constant = -np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1) - came * (0.5 * LOG_2_PI)
@@ -436,11 +466,10 @@ class GaussianMeasurement(Adjustable):
         """Draw readings of one state (n,) → (k,), or of many (N, n) → (N, k); angles in (−π, π]."""
         zhat = self.predict(x, t)
         drawn = validate.generator(rng).standard_normal(zhat.shape)
-        if self._noise is not None:
+        if self.noise_cov is None:
             L = self._roots(x, t, np.ones(self.dim_z, dtype=bool))
             noise = np.einsum("ijk,ik->ij", L, drawn)
         else:
-            assert self.noise_cov is not None
             noise = drawn @ np.linalg.cholesky(self.noise_cov).T
         z = self.residual(zhat + noise, 0.0)
         return z[0] if np.ndim(x) == 1 else z

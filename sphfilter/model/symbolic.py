@@ -135,10 +135,20 @@ def symbolic_step(
     return makers, own.data, flags
 
 
+class Rows(NamedTuple):
+    """The batch function of expressions, and of what degree in the states they are proven to be.
+
+    Of degree 0 are those without state and time, of degree 1 sums of states times such; None are all others.
+    """
+
+    fill: BatchFunction
+    degree: int | None
+
+
 def symbolic_rows(
     states: Sequence[str], texts: Sequence[str | float], name: str | Sequence[str], words: Names | None = None
-) -> BatchFunction:
-    """Return the batch function of k expressions of the states and t: rows of states in, k columns out.
+) -> Rows:
+    """Return k expressions of the states and t as a function: rows of states in, k columns out.
 
     `name`, or k of them, says what the expressions are, for messages; the function takes the values of
     `words`.
@@ -148,7 +158,11 @@ def symbolic_rows(
     names = words or Names(states)
     each = [f"{name}[{i}]" for i in range(len(texts))] if isinstance(name, str) else name
     rows = sp.Matrix([parse(text, names, where) for text, where in zip(texts, each, strict=True)])
-    return _maker(name if isinstance(name, str) else name[0], rows, names)(None)
+    constant = not rows.free_symbols & {*names.x, names.t}
+    J = rows.jacobian(names.x)
+    linear = _is_affine(rows, J, names) and all(sp.expand(v) == 0 for v in rows - J * sp.Matrix(names.x))
+    fill = _maker(name if isinstance(name, str) else name[0], rows, names)(None)
+    return Rows(fill, 0 if constant else 1 if linear else None)
 
 
 def _noise(

@@ -45,13 +45,13 @@ def test_points_in_order_have_near_neighbours_in_any_units():
 
 def test_noise_has_a_normals_moments_up_to_the_fifth_and_streams_of_its_own():
     state, Z = np.empty(LANES, np.uint64), np.empty((3, 4000, LANES))
-    fill_noise(KEY, np.uint64(0), ADDITIVE, state, Z)
+    fill_noise(KEY, np.uint64(0), ADDITIVE, False, state, Z)
     for row in Z[:2]:
         moments = [np.mean(row**k) for k in range(1, 6)]
         np.testing.assert_allclose(moments, [0, 1, 0, 3, 0], atol=0.06)
     assert set(np.unique(Z[2])) == {-1.0, 1.0} and abs(Z[2].mean()) < 0.01
     other = np.empty_like(Z)
-    fill_noise(KEY, np.uint64(1), ADDITIVE, state, other)
+    fill_noise(KEY, np.uint64(1), ADDITIVE, False, state, other)
     flat = np.concatenate([Z, other]).reshape(6, -1)
     assert np.abs(np.corrcoef(flat) - np.eye(6)).max() < 0.01
 

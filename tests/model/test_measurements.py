@@ -181,6 +181,48 @@ def test_a_sensor_in_text_reads_what_the_formula_says():
         assert sensor.H is None
 
 
+MATRICES = [
+    (["a*x - v"], [["s**2"]], [[2.0, -1.0]], [[0.09]]),
+    (
+        ["2*(x + a*v) - 2*x", "x"],
+        [["s", "0"], ["0", 0.5]],
+        [[0.0, 4.0], [1.0, 0.0]],
+        [[0.3, 0.0], [0.0, 0.5]],
+    ),
+    (["x + a"], [["s"]], None, [[0.3]]),
+    (["a*x*v"], [["s"]], None, [[0.3]]),
+    (["a*t*x"], [["s"]], None, [[0.3]]),
+    (["abs(a*x)"], [["s"]], None, [[0.3]]),
+    (["a*x"], [["s*(1 + x**2)"]], None, None),
+    (["a*x"], [["s*(1 + t)"]], None, None),
+]
+
+
+@pytest.mark.parametrize(("h", "noise", "H", "R"), MATRICES)
+def test_a_text_that_says_a_matrix_is_known_as_one(h, noise, H, R):
+    values = {"a": 2.0, "s": 0.3}
+    first = GaussianMeasurement.from_expressions(["x", "v"], h, noise, parameters=values | {"a": 5.0})
+    sensor = first.with_parameters(a=2.0)  # another value is another matrix
+    for known, expected in ((sensor.H, H), (sensor.noise_cov, R)):
+        assert (known is None) == (expected is None)
+        assert known is None or np.allclose(known, expected, rtol=0.0, atol=1e-15)
+    if H is not None:
+        assert first.H.tolist() != H and sensor.changed(noise_cov=2.0).H.tolist() == H
+        assert sensor.changed(h=[[1.0, 0.0]] * len(H)).noise_cov.tolist() == sensor.noise_cov.tolist()
+        same = GaussianMeasurement(H, R)
+        np.testing.assert_allclose(
+            sensor.log_likelihood([0.3] * len(H), X[:, :2]), same.log_likelihood([0.3] * len(H), X[:, :2])
+        )
+
+
+def test_a_text_whose_values_are_no_covariance_says_so_when_it_is_asked():
+    sensor = GaussianMeasurement.from_expressions(["x"], ["x"], [["s"]], parameters={"s": 0.0})
+    assert sensor.noise_cov is None and sensor.H is None
+    with pytest.raises(ModelError, match="not positive definite at the state"):
+        sensor.log_likelihood([0.3], [[0.1]])
+    assert sensor.with_parameters(s=0.5).H.tolist() == [[1.0]]
+
+
 @pytest.mark.parametrize(
     ("states", "h", "error", "said"),
     [

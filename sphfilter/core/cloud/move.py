@@ -67,7 +67,7 @@ def move(leg, x, u, V, block, key, first, last):
     state, Z = np.empty(LANES, np.uint64), np.empty((3, V.shape[2], LANES))
     room = chunk_room(len(x), leg.root.shape[0])
     for c in range(first, last):
-        fill_noise(key, np.uint64(c), leg.kind, state, Z)
+        fill_noise(key, np.uint64(c), leg.kind, leg.walls, state, Z)
         move_chunk(leg, c, x, u, V, block, Z, room)
 
 

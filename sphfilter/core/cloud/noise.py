@@ -101,13 +101,18 @@ def fill_normals(state, out):
 
 
 @jit
-def fill_noise(key, stream, kind, state, Z):
-    """Fill Z (3, d, LANES) for `walk` with stream number `stream` of a key; `state` (LANES,) is scratch."""
+def fill_noise(key, stream, kind, walls, state, Z):
+    """Fill Z (3, d, LANES) for `walk` with stream number `stream` of a key; `state` (LANES,) is scratch.
+
+    Beside walls increments are normal, too: how far a path goes hangs on more than their moments.
+    """
     seed_lanes(key, stream, state)
-    if kind == NORMAL:
+    if kind == NORMAL or walls:
         fill_normals(state, Z[0])
+    else:
+        fill_three_points(state, Z[0])
+    if kind == NORMAL:
         return
-    fill_three_points(state, Z[0])
     if kind == ADDITIVE:
         fill_three_points(state, Z[1])
     fill_signs(state, Z[2])
@@ -172,12 +177,12 @@ def uniforms(key, count):
 
 
 @jit
-def noise_of(key, count, d, kind):
+def noise_of(key, count, d, kind, walls):
     """Noise (3, d, count) of so many points, as `walk` takes it."""
     out, Z, state = np.empty((3, d, count)), np.zeros((3, d, LANES)), np.empty(LANES, np.uint64)
     for c in range(-(-count // LANES)):
         begin, end = c * LANES, min((c + 1) * LANES, count)
-        fill_noise(key, np.uint64(c), kind, state, Z)
+        fill_noise(key, np.uint64(c), kind, walls, state, Z)
         out[:, :, begin:end] = Z[:, :, : end - begin]
     return out
 

@@ -13,7 +13,7 @@ from .control import SHADOW, STEPS_ORDER, WRONG, over_allowed
 from .curve import along_curve
 from .move import over
 from .noise import LANES, OF_STATE, fill_noise, mixed
-from .steps import new_room, walk
+from .steps import GIVEN, LEFT, new_room, same_path, walk
 from .way import PILOT
 from .weights import AWAY, eighths, finite_rows, systematic, taken
 
@@ -274,7 +274,7 @@ def one_step(leg, end, x, width):
     """
     (K, n), m, last = x.shape, leg.root.shape[0], over(leg, leg.flow, end - leg.h, end, 1)
     count, room = 2 * (n + 3 * m), new_room(m)
-    ends, Z = np.empty((K * count, n)), np.zeros((3, m, K * count))
+    ends, Z = np.empty((K * count, n)), np.zeros((GIVEN, max(m, n), K * count))
     for i in range(K * count):
         k, sign = i % count // 2, 1.0 - 2.0 * (i % 2)
         for a in range(n):
@@ -302,11 +302,13 @@ def moved_twice(leg, half, x, key):
     The noise of a step is that of the two that are its halves. Where it depends on the state, neighbours have
     it mirrored: what is odd in any noise, most of what such paths are apart by, hardly moves their mean.
     """
-    d, m = leg.steps * leg.root.shape[0], leg.root.shape[0]
-    state, fine, Z = np.empty(LANES, np.uint64), np.empty((3, 2 * d, LANES)), np.empty((3, d, LANES))
+    n, m = x.shape[1], leg.root.shape[0]
+    d, rows = leg.steps * m, leg.steps * (max(m, n) if leg.walls else m)
+    state, fine = np.empty(LANES, np.uint64), np.empty((LEFT if leg.walls else 3, 2 * rows, LANES))
+    Z = np.empty((GIVEN if leg.walls else 3, rows, LANES))
     ends, middle, room = x.copy(), x.copy(), new_room(m)
     for k in range(0, len(x), LANES):
-        fill_noise(key, np.uint64(k // LANES), leg.kind, state, fine)
+        fill_noise(key, np.uint64(k // LANES), leg.kind, leg.walls, state, fine)
         if leg.kind == OF_STATE:
             _mirror(fine, m)
         for r in range(d):
@@ -317,8 +319,10 @@ def moved_twice(leg, half, x, key):
                 Z[1, r, i] = math.sqrt(0.125) * (fine[1, one, i] + fine[1, one + m, i])
                 Z[1, r, i] += math.sqrt(0.375) * (first - second)
                 Z[2, r, i] = fine[2, one, i]
-        walk(leg, middle[k : k + LANES], Z, False, room)
         walk(half, ends[k : k + LANES], fine, False, room)
+        if leg.walls:
+            same_path(fine, n, Z)
+        walk(leg, middle[k : k + LANES], Z, False, room)
     return middle, ends
 
 

@@ -61,6 +61,10 @@ CUBE = types.float64[:, :, ::1]
 X, Y, K1, K2, K3, K4, SLOPE, BEFORE, _PARTS = range(9)
 _PART = 16 * LANES + 16  # 16 states; 8 * 16 bytes = 2 lines off what would share their places in the cache
 _Y, _K1, _K2, _K3, _K4, _SLOPE, _NOISE = (k * _PART for k in (Y, K1, K2, K3, K4, SLOPE, _PARTS))
+#: Parts of noise beside walls, by number: how far a path goes down and up within each step, and the step; and
+#: how many there are where the first two are given, or all are left.
+_DOWN, _UP, _STEP = range(3, 6)
+GIVEN, LEFT = 5, 6
 #: Parts of a step of a stiff drift at most; and of the extent of points, by how much its slopes may part.
 _MOST_PARTS, _STIFF = 100_000, 0.02
 
@@ -182,13 +186,15 @@ def flow(leg, x, t, h, room):
 
 
 @jit
-def _reflect(leg, before, x, t):
+def _reflect(leg, before, x, t, Z, s):
     """Push points x (K, n) back by as much as their way from `before` has passed reflecting walls.
 
     How far a path of Brownian motion goes between two states has a known law, exact where noise and drift do
-    not change on the way (Lépingle 1995); its uniform number is made of the bits of the two.
+    not change on the way (Lépingle 1995); its uniform number is made of the bits of the two. Where noise Z
+    has the parts for it, how far step s of a path goes, down and up, is given there, or left there, with the
+    step itself: so a path in longer steps is the same path.
     """
-    (K, n), m = x.shape, leg.root.shape[0]
+    (K, n), m, parts = x.shape, leg.root.shape[0], len(Z)
     g, sigma = np.empty((K, n * m)), np.empty((n, m))
     function_at(leg.noise)(before, t, leg.p, g)
     for i in range(K):
@@ -196,16 +202,34 @@ def _reflect(leg, before, x, t):
         for a in range(n):
             if leg.domain.kind[a] != REFLECTING:
                 continue
-            variance, one, other = 0.0, before[i, a], x[i, a]
-            for k in range(m):
-                variance += sigma[a, k] * sigma[a, k] * leg.h
-            u = uniform(np.uint64(i), np.uint64(np.int64((other - one) * 2.0**40 / (abs(one) + TINY))))
-            way = math.sqrt((other - one) ** 2 - 2.0 * variance * math.log(u))
-            if one - leg.domain.low[a] < leg.domain.high[a] - one:
-                x[i, a] += max(0.0, leg.domain.low[a] - 0.5 * (one + other - way))
+            one, step, r = before[i, a], x[i, a] - before[i, a], s * n + a
+            if parts == GIVEN:
+                down, up = min(Z[_DOWN, r, i], 0.0, step), max(Z[_UP, r, i], 0.0, step)
             else:
-                x[i, a] -= max(0.0, 0.5 * (one + other + way) - leg.domain.high[a])
+                variance = 0.0
+                for k in range(m):
+                    variance += sigma[a, k] * sigma[a, k] * leg.h
+                u = uniform(np.uint64(i), np.uint64(np.int64(step * 2.0**40 / (abs(one) + TINY))))
+                way = math.sqrt(step * step - 2.0 * variance * math.log(u))
+                down, up = 0.5 * (step - way), 0.5 * (step + way)
+            if parts == LEFT:
+                Z[_DOWN, r, i], Z[_UP, r, i], Z[_STEP, r, i] = down, up, step
+            if one - leg.domain.low[a] < leg.domain.high[a] - one:
+                x[i, a] += max(0.0, leg.domain.low[a] - (one + down))
+            else:
+                x[i, a] -= max(0.0, one + up - leg.domain.high[a])
     bounce(leg.domain, x)
+
+
+@jit
+def same_path(fine, n, Z):
+    """Give noise Z of steps how far paths of n states go, as `fine`, of half as long steps, has left it."""
+    for r in range(Z.shape[1] // n * n):
+        one = 2 * (r // n) * n + r % n
+        for i in range(Z.shape[2]):
+            between = fine[_STEP, one, i]
+            Z[_DOWN, r, i] = min(fine[_DOWN, one, i], between + fine[_DOWN, one + n, i])
+            Z[_UP, r, i] = max(fine[_UP, one, i], between + fine[_UP, one + n, i])
 
 
 @jit
@@ -260,7 +284,7 @@ def beside_noise(leg, x, Z, odd, room):
             scaled(leg, own, t + h, sigma)
         if leg.walls:
             _add_noise(sigma, last, own)
-            _reflect(leg, before, own, t)
+            _reflect(leg, before, own, t, Z, s)
             _fill(last, 0.0)
     _add_noise(sigma, last, own)
     _copy(own, x)
@@ -381,14 +405,14 @@ def between_noise(leg, x, Z, odd, room):
             _kick(leg, own, middle, w, k, k + 1, room, raw)
         flow(drift, p, room, K, n, middle, h if s + 1 < leg.steps else 0.5 * h)
         if leg.walls:
-            _reflect(leg, before, own, middle)
+            _reflect(leg, before, own, middle, Z, s)
     _copy(own, x)
 
 
 _WALKS = LEG, MATRIX, CUBE, types.boolean, VECTOR
 #: Move points x (K, n) over a leg. Z (3, steps m, K or more) holds for each step and noise its increment over
-#: √h and its area over √(h/12), like normals, and a sign. Then whether noises act in the opposite order, and
-#: a room.
+#: √h and its area over √(h/12), like normals, and a sign; beside walls `GIVEN` or `LEFT` parts, steps n rows,
+#: hold how far paths go. Then whether noises act in the opposite order, and a room.
 BESIDE, BETWEEN = (Entry(function, _WALKS, types.void) for function in (beside_noise, between_noise))
 _walk_at = BESIDE.at
 
