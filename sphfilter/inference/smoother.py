@@ -163,9 +163,26 @@ def smooth(
     >>> print(f"variance {before:.4f} before later measurements, {after:.4f} after")
     variance 0.0786 before later measurements, 0.0701 after
     """
-    times, start = checked_times("times", times), filt
+    given = checked_times("times", times), measurements, sensors, inputs
     points = isinstance(filt, SPHFilter) and _by_points(filt)
-    filt = _on_clouds(filt) if points else _on_lattices(filt)
+    try:
+        return _smoothed(filt, points, *given)
+    except PropagationError:  # what no lattice follows, clouds do
+        if points or not filt.adapts or filt.config.scheme != "auto":
+            raise
+        return _smoothed(filt, True, *given)
+
+
+def _smoothed(
+    filt: SPHFilter,
+    points: bool,
+    times: Floats,
+    measurements: Readings,
+    sensors: Sequence[Sensor | str | None] | None,
+    inputs: InputRecord | None,
+) -> SmoothedResult:
+    """The densities of a record, smoothed on clouds of points, or on lattices."""
+    start, filt = filt, _on_clouds(filt) if points else _on_lattices(filt)
     read = _checked(filt, times, measurements, sensors)
     epochs, filtered = _forward(filt, times, read, each_input(filt.model.inputs, inputs, len(times)), points)
     smoothed = on_clouds(epochs, start.density) if points else _backward(epochs)

@@ -1,5 +1,8 @@
 """Posteriors of parameters: against closed forms and sums over grids of the same log-evidence."""
 
+import math
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from density_cases import text
@@ -19,10 +22,22 @@ def drawn(seed):
     return sf.simulate(PUSHED, LEVEL, x0=[0.0], times=TIMES, rng=seed)[1]
 
 
+class Exact(SimpleNamespace):
+    """Kalman's filter of one state with parameters a and b of the model, and R of the sensor."""
+
+    def run(self, times, z):
+        decay, mean, P, found = np.exp(-self.a * np.diff(times, prepend=0.0)), 0.0, 0.5, []
+        for phi, (read,) in zip(decay.tolist(), np.asarray(z).tolist(), strict=True):
+            mean = phi * mean + self.b * (1.0 - phi) / self.a
+            P = phi * phi * P + (1.0 - phi * phi) / (2.0 * self.a)
+            S, off = P + self.R, read - mean
+            found.append(-0.5 * (off * off / S + math.log(2.0 * math.pi * S)))
+            mean, P = mean + P / S * off, P * self.R / S
+        return SimpleNamespace(log_evidence=np.array(found))
+
+
 def exact(p):
-    """Kalman's filter with parameters of the model, and R of the sensor."""
-    own = {name: value for name, value in p.items() if name != "R"}
-    return KalmanFilter(PUSHED.with_parameters(**own), LEVEL.changed(noise_cov=p.get("R", 0.1)), *START)
+    return Exact(**{"a": 0.6, "b": 0.5, "R": 0.1} | p)
 
 
 def evidence(z, **p):
@@ -42,6 +57,11 @@ def on_grid(values, log_p):
 @pytest.fixture(scope="module")
 def z():
     return drawn(3)
+
+
+def test_what_it_is_held_against_is_kalmans_filter(z):
+    known = KalmanFilter(PUSHED, LEVEL, *START).run(TIMES, z).log_evidence
+    np.testing.assert_allclose(exact({}).run(TIMES, z).log_evidence, known, rtol=1e-12)
 
 
 @pytest.fixture(scope="module")
