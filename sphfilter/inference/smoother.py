@@ -136,7 +136,8 @@ def smooth(
     ModelError
         The filter, its model or its scheme cannot be smoothed; the sentence says why.
     PropagationError
-        The filter cannot go on, or no lattice holds a smoothed density; the sentence names the time.
+        The filter cannot go on, or no lattice of a number of particles that was asked for holds a smoothed
+        density, which is one of points else; the sentence names the time.
 
     Notes
     -----
@@ -163,29 +164,18 @@ def smooth(
     >>> print(f"variance {before:.4f} before later measurements, {after:.4f} after")
     variance 0.0786 before later measurements, 0.0701 after
     """
-    given = checked_times("times", times), measurements, sensors, inputs
+    times, start = checked_times("times", times), filt
     points = isinstance(filt, SPHFilter) and _by_points(filt)
-    try:
-        return _smoothed(filt, points, *given)
-    except PropagationError:  # what no lattice follows, clouds do
-        if points or not filt.adapts or filt.config.scheme != "auto":
-            raise
-        return _smoothed(filt, True, *given)
-
-
-def _smoothed(
-    filt: SPHFilter,
-    points: bool,
-    times: Floats,
-    measurements: Readings,
-    sensors: Sequence[Sensor | str | None] | None,
-    inputs: InputRecord | None,
-) -> SmoothedResult:
-    """The densities of a record, smoothed on clouds of points, or on lattices."""
-    start, filt = filt, _on_clouds(filt) if points else _on_lattices(filt)
+    filt = _on_clouds(filt) if points else _on_lattices(filt)
     read = _checked(filt, times, measurements, sensors)
-    epochs, filtered = _forward(filt, times, read, each_input(filt.model.inputs, inputs, len(times)), points)
-    smoothed = on_clouds(epochs, start.density) if points else _backward(epochs)
+    driving = each_input(filt.model.inputs, inputs, len(times))
+    try:
+        epochs, filtered = _forward(filt, times, read, driving, points)
+        smoothed = on_clouds(epochs, start.density) if points else _backward(epochs)
+    except PropagationError:
+        if points or not start.adapts or start.config.scheme != "auto":
+            raise
+        return smooth(_on_clouds(start), times, measurements, sensors=sensors, inputs=inputs)
     of = np.repeat(np.arange(len(epochs)), [epoch.rows for epoch in epochs])
     densities, total, extrapolated, error = zip(*smoothed, strict=True)
     return SmoothedResult(

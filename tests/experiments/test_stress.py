@@ -431,7 +431,7 @@ def test_random_problems_are_right_or_flagged(number):
     assert found.verdict in ("right", "right, flagged", "no reference"), found.sentence
 
 
-@pytest.mark.parametrize("pair", [(31, 30), (43, 59)])
+@pytest.mark.parametrize("pair", [(31, 30), pytest.param((43, 59), marks=pytest.mark.slow)])
 def test_problems_that_once_ended_with_a_matrix_error_are_followed(pair):
     """A family whose nodes have hardly any weight is none: the next rung goes on."""
     assert record_of(replace(RandomCase(*pair).problem(), n_particles="auto")).end == "finished"

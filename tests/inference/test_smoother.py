@@ -7,6 +7,8 @@ from density_cases import off, text
 import sphfilter as sf
 from reference_filters.grid_smoother import smooth_on_grid
 from reference_filters.rts import smooth_linear
+from sphfilter.errors import PropagationError
+from sphfilter.inference import smoother
 
 LINEAR = sf.LinearSDE(
     A=[[0.0, 1.0], [-1.0, -0.4]], b=[0.0, 0.5], noise=[[0.0], [1.0]], spectral_density=[[1.6]]
@@ -48,6 +50,20 @@ def test_linear_as_rauch_tung_and_striebel():
     z = simulated(LINEAR, POSITION, START[0], times, 2)
     found = sf.smooth(sf.SPHFilter(LINEAR, POSITION, *START, n_particles=200), times, z)
     check_as_exact(found, smooth_linear(LINEAR, POSITION, START, times, z))
+
+
+def test_what_no_lattice_follows_goes_on_as_clouds(monkeypatch):
+    def refused(epochs):
+        raise PropagationError("the lattice lost 26 % of the probability")
+
+    monkeypatch.setattr(smoother, "_backward", refused)
+    times = np.arange(1.0, 7.0)
+    z = simulated(LINEAR, POSITION, START[0], times, 2)
+    found = sf.smooth(sf.SPHFilter(LINEAR, POSITION, *START), times, z)
+    mean, _ = off(found.x, found.P, *smooth_linear(LINEAR, POSITION, START, times, z)[:2])
+    assert np.sqrt(np.mean(mean**2)) < 3.0 * np.sqrt(np.mean(found.error**2)) < 0.3
+    with pytest.raises(PropagationError, match="26 %"):
+        sf.smooth(sf.SPHFilter(LINEAR, POSITION, *START, n_particles=200), times, z)
 
 
 def test_times_of_a_clock():

@@ -61,10 +61,9 @@ CUBE = types.float64[:, :, ::1]
 X, Y, K1, K2, K3, K4, SLOPE, BEFORE, _PARTS = range(9)
 _PART = 16 * LANES + 16  # 16 states; 8 * 16 bytes = 2 lines off what would share their places in the cache
 _Y, _K1, _K2, _K3, _K4, _SLOPE, _NOISE = (k * _PART for k in (Y, K1, K2, K3, K4, SLOPE, _PARTS))
-#: Parts of noise beside walls, by number: how far a path goes down and up within each step, and the step; and
-#: how many there are where the first two are given, or all are left.
-_DOWN, _UP, _STEP = range(3, 6)
-GIVEN, LEFT = 5, 6
+#: Parts of noise beside walls, by number: how far a path goes down and up within each step, and the step.
+#: There are as many as the third's number where two are given, and 3 + 3 = 6 where all are left.
+_DOWN, _UP, GIVEN, LEFT = range(3, 7)
 #: Parts of a step of a stiff drift at most; and of the extent of points, by how much its slopes may part.
 _MOST_PARTS, _STIFF = 100_000, 0.02
 
@@ -213,7 +212,7 @@ def _reflect(leg, before, x, t, Z, s):
                 way = math.sqrt(step * step - 2.0 * variance * math.log(u))
                 down, up = 0.5 * (step - way), 0.5 * (step + way)
             if parts == LEFT:
-                Z[_DOWN, r, i], Z[_UP, r, i], Z[_STEP, r, i] = down, up, step
+                Z[_DOWN, r, i], Z[_UP, r, i], Z[GIVEN, r, i] = down, up, step
             if one - leg.domain.low[a] < leg.domain.high[a] - one:
                 x[i, a] += max(0.0, leg.domain.low[a] - (one + down))
             else:
@@ -227,7 +226,7 @@ def same_path(fine, n, Z):
     for r in range(Z.shape[1] // n * n):
         one = 2 * (r // n) * n + r % n
         for i in range(Z.shape[2]):
-            between = fine[_STEP, one, i]
+            between = fine[GIVEN, one, i]
             Z[_DOWN, r, i] = min(fine[_DOWN, one, i], between + fine[_DOWN, one + n, i])
             Z[_UP, r, i] = max(fine[_UP, one, i], between + fine[_UP, one + n, i])
 
