@@ -235,9 +235,10 @@ class GaussianMeasurement(Adjustable):
         states : sequence of str
             Names of the n states.
         h : sequence of str, length k
-            Readings as expressions of the states, t, parameters, inputs and tables.
+            Readings as expressions of the states, t, parameters, inputs and tables. Where they are a matrix
+            times the states, the sensor is linear, and `H` that matrix.
         noise_cov : array_like, shape (k, k), or nested sequence of str or float
-            Numbers, or expressions.
+            Numbers, or expressions; where these name neither states nor t, `noise_cov` are their values.
         angles, parameters, inputs
             As for the constructor.
         tables : mapping of str to Table or to (arguments, values), optional
