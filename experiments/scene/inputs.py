@@ -25,7 +25,7 @@ def _values(model, key, given, begins):
     if not isinstance(given, str):
         return np.full(len(begins), given)
     names = Vocabulary([*model.parameters]).with_states(model.states)
-    fill = symbolic_rows(model.states, (given,), (key,), names).fill
+    fill = symbolic_rows(model.states, (given,), (key,), names)
     states = names.used.intersection(model.states)
     if states:
         raise ModelError(

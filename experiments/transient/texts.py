@@ -19,7 +19,7 @@ def expression(model, text, name, tables=MappingProxyType({})):
     `name` is its key in errors.
     """
     names = Vocabulary([*model.parameters], [*model.inputs], tables).with_states(model.states)
-    fill = symbolic_rows(model.states, (text,), (name,), names).fill
+    fill = symbolic_rows(model.states, (text,), (name,), names)
     values = np.array([*model.parameters.values(), *model.inputs.values(), *names.data], dtype=float)
 
     def function(X, t=0.0):

@@ -136,8 +136,7 @@ def smooth(
     ModelError
         The filter, its model or its scheme cannot be smoothed; the sentence says why.
     PropagationError
-        The filter cannot go on, or no lattice of a number of particles that was asked for holds a smoothed
-        density, which is one of points else; the sentence names the time.
+        The filter cannot go on, or lattices that were asked for hold no smoothed density; it names the time.
 
     Notes
     -----
@@ -173,7 +172,7 @@ def smooth(
         epochs, filtered = _forward(filt, times, read, driving, points)
         smoothed = on_clouds(epochs, start.density) if points else _backward(epochs)
     except PropagationError:
-        if points or not start.adapts or start.config.scheme != "auto":
+        if points or filt is start:  # lattices that were asked for
             raise
         return smooth(_on_clouds(start), times, measurements, sensors=sensors, inputs=inputs)
     of = np.repeat(np.arange(len(epochs)), [epoch.rows for epoch in epochs])

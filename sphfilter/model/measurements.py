@@ -235,8 +235,7 @@ class GaussianMeasurement(Adjustable):
         states : sequence of str
             Names of the n states.
         h : sequence of str, length k
-            Readings as expressions of the states, t, parameters, inputs and tables. Where they are a matrix
-            times the states, the sensor is linear, and `H` that matrix.
+            Readings as expressions of the states, t, parameters, inputs and tables; linear ones have `H`.
         noise_cov : array_like, shape (k, k), or nested sequence of str or float
             Numbers, or expressions; where these name neither states nor t, `noise_cov` are their values.
         angles, parameters, inputs
@@ -250,15 +249,15 @@ class GaussianMeasurement(Adjustable):
             Unknown name or forbidden syntax.
         """
         recipe = {k: v for k, v in locals().items() if k != "cls"}
-        from .symbolic import Vocabulary, symbolic_rows  # imports sympy, which takes a second
+        from .symbolic import Vocabulary, degree_of, symbolic_rows  # imports sympy, which takes a second
 
         values, self = Values.of(parameters, inputs), cls.__new__(cls)
         words = Vocabulary.of(values, tables)
         names = words.with_states(states)
         self._begin(GaussianMeasurement.from_expressions, recipe | {"angles": tuple(_listed(angles))}, values)
         self._n = len(states)
-        self._fill, degree = symbolic_rows(states, h, "h", names)
-        self._linear = degree == 1
+        self._fill = symbolic_rows(states, h, "h", names)
+        self._linear = degree_of(h, names) == 1
         texts = _texts(noise_cov)
         if texts is None:
             self._set_noise(noise_cov, False, h, None)
@@ -267,8 +266,9 @@ class GaussianMeasurement(Adjustable):
             if [len(row) for row in texts] != [len(h)] * len(h):
                 raise ModelError(f"noise_cov must be {len(h)} rows of {len(h)}, one for each of h")
             where = [f"noise_cov[{i}][{j}]" for i, row in enumerate(texts) for j in range(len(row))]
-            rows = symbolic_rows(states, [text for row in texts for text in row], where, names)
-            self._noise, self._constant = rows.fill, rows.degree == 0
+            entries = [text for row in texts for text in row]
+            self._noise = symbolic_rows(states, entries, where, names)
+            self._constant = degree_of(entries, names) == 0
         words.check_used(names)
         self._tail = names.data
         self._finish(angles, len(h))
@@ -295,14 +295,16 @@ class GaussianMeasurement(Adjustable):
         super()._set(values)
         self._p = np.concatenate([*values.data, self._tail])
         if self._linear or self._constant:
-            vars(self).update(self._matrices(np.eye(self._n or 0)))
+            vars(self).update(self._matrices())
 
-    def _matrices(self, X: Floats) -> dict[str, Any]:
-        """The attributes of a sensor whose text says matrices, by states (n, n) each of one and zeros.
+    def _matrices(self) -> dict[str, Any]:
+        """The attributes of a sensor whose text says matrices: what it reads in states of one and zeros.
 
         Where the values of parameters make R no covariance, it stays a function, which says so when asked.
         """
         k, R, matrix = self.dim_z, self.noise_cov, self._matrix
+        assert self._n and self._fill
+        X = np.eye(self._n)
         if self._constant:
             assert self._noise is not None
             try:
@@ -311,7 +313,6 @@ class GaussianMeasurement(Adjustable):
             except ModelError:
                 R = None
         if self._linear:
-            assert self._fill is not None
             matrix = filled(self._fill, X, 0.0, self._p, k).T.copy()
             matrix.setflags(write=False)
         H = None if R is None else matrix

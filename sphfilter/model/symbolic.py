@@ -135,20 +135,10 @@ def symbolic_step(
     return makers, own.data, flags
 
 
-class Rows(NamedTuple):
-    """The batch function of expressions, and of what degree in the states they are proven to be.
-
-    Of degree 0 are those without state and time, of degree 1 sums of states times such; None are all others.
-    """
-
-    fill: BatchFunction
-    degree: int | None
-
-
 def symbolic_rows(
     states: Sequence[str], texts: Sequence[str | float], name: str | Sequence[str], words: Names | None = None
-) -> Rows:
-    """Return k expressions of the states and t as a function: rows of states in, k columns out.
+) -> BatchFunction:
+    """Return the batch function of k expressions of the states and t: rows of states in, k columns out.
 
     `name`, or k of them, says what the expressions are, for messages; the function takes the values of
     `words`.
@@ -158,11 +148,16 @@ def symbolic_rows(
     names = words or Names(states)
     each = [f"{name}[{i}]" for i in range(len(texts))] if isinstance(name, str) else name
     rows = sp.Matrix([parse(text, names, where) for text, where in zip(texts, each, strict=True)])
-    constant = not rows.free_symbols & {*names.x, names.t}
-    J = rows.jacobian(names.x)
-    linear = _is_affine(rows, J, names) and all(sp.expand(v) == 0 for v in rows - J * sp.Matrix(names.x))
-    fill = _maker(name if isinstance(name, str) else name[0], rows, names)(None)
-    return Rows(fill, 0 if constant else 1 if linear else None)
+    return _maker(name if isinstance(name, str) else name[0], rows, names)(None)
+
+
+def degree_of(texts: Sequence[str | float], names: Names) -> int | None:
+    """Return the proven degree of texts: 0 without states and t, 1 of sums of states alone; else None."""
+    rows = sp.Matrix([parse(text, names) for text in texts])
+    if not rows.free_symbols & {*names.x, names.t}:
+        return 0
+    rest = _beside_linear(rows, rows.jacobian(names.x), names)
+    return 1 if rest is not None and rest.is_zero_matrix else None
 
 
 def _noise(
@@ -290,12 +285,16 @@ def _breakpoints(entries: Sequence[sp.Expr], names: Names) -> tuple[Floats, list
 
 def _is_affine(f: sp.Matrix, J: sp.Matrix, names: Names) -> bool:
     """Tell whether f = A x + b is proven, with A and b free of state and time."""
-    varying = {*names.x, names.t}
+    rest = _beside_linear(f, J, names)
+    return rest is not None and not rest.free_symbols & {*names.x, names.t}
+
+
+def _beside_linear(f: sp.Matrix, J: sp.Matrix, names: Names) -> sp.Matrix | None:
+    """Return f - A x, where the derivative J of f is a matrix A free of state and time; else None."""
     A = J.applyfunc(sp.expand)
-    if A.free_symbols & varying:
-        return False
-    rest = (f - A * sp.Matrix(names.x)).applyfunc(sp.expand)
-    return not (rest.free_symbols & varying)
+    if A.free_symbols & {*names.x, names.t}:
+        return None
+    return (f - A * sp.Matrix(names.x)).applyfunc(sp.expand)
 
 
 def _maker(name: str, matrix: sp.Matrix, names: Names) -> Maker:

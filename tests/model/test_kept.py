@@ -23,7 +23,7 @@ def fill(at, x, out):
     function_at(at)(x, 0.0, x[0], out)
 
 x, out = np.full((1, 2), 2.0), np.empty((1, 1))
-each = {number: symbolic_rows(["x", "v"], [f"x*v + {number}"], "h").fill for number in sys.argv[1:]}
+each = {number: symbolic_rows(["x", "v"], [f"x*v + {number}"], "h") for number in sys.argv[1:]}
 for number, rows in each.items():
     fill(address_of(rows), x, out)
     assert out[0, 0] == 4.0 + float(number), (number, out)
