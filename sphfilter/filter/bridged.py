@@ -14,7 +14,7 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.cloud.blocks import blocks_of, centres
-from ..core.cloud.bridge import MISSED, MORE
+from ..core.cloud.bridge import MISSED, MORE, some_free
 from ..core.cloud.guide import look_ahead, of_first, over_both
 from ..core.cloud.reader import PARTS
 from ..core.cloud.weights import effective, normalise
@@ -48,12 +48,17 @@ def bridged(points: Points, sensor: Stacked, key: int, least: float) -> Carried 
         ancestor, v, log_ratio = _led(walked, passages, w, sensor, count, own)
         if not len(ancestor) or (stage == 0 and effective(1.0 * np.bincount(ancestor)) < least):
             return None
+        if len(passages) > 1:
+            found = ancestor, columns(v), log_ratio
+            log_l = sensor.log_likelihood(y)
+            ancestor, new, log_ratio = some_free(found, log_l, w, columns(u[0]), np.uint64(own))
+            v = new.T
         z = gone(passages[0], x[ancestor], v, block[ancestor], True)
         if len(passages) == 1:
             ends = np.concatenate([y, z])
             log_w = total + over_both(sensor.log_likelihood(ends), log_ratio, w)
             return Carried.of(ends, log_w, np.append(lineage, lineage[ancestor]), points.older)
-        log_w, lineage = total - log_ratio[len(x) :] - math.log(count), lineage[ancestor]
+        log_w, lineage = total - log_ratio - math.log(count), lineage[ancestor]
         kept = np.asarray(np.isfinite(z).all(axis=1))
         if not kept.any():
             return None

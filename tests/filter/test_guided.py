@@ -119,6 +119,21 @@ def test_points_led_in_compiled_code_are_those_of_any_way(model):
     assert piece_by_piece(*about[:3], 1e9) is bridged(*about[:3], 1e9) is None
 
 
+def test_tails_that_a_guide_thinks_little_of_have_points():
+    """x² read sharply in two wells after three seconds: the variance of v, beside 3e6 paths."""
+    well = sf.SDE.from_expressions(["x", "v"], ["v", "x - x**3 - 0.3*v"], [["0"], ["0.5"]])
+    sensor = sf.GaussianMeasurement(lambda x: (x[0] ** 2,), [[0.01]])
+    ratios = []
+    for key in range(8):
+        points = points_of_gaussian(np.zeros(2), np.eye(2), 4 * N, key)
+        points = moved_points(points, well, 0.0, 3.0, Steps(24), 4 * N, 100 + key)
+        about = points, Stacked.of((asked(sensor, [2.184], 3.0),), None), 200 + key, 0.0
+        led = piece_by_piece(*about)
+        ratios.append(moments(led.x, led.w)[1][1, 1] / 0.6439)
+    assert abs(np.mean(ratios) - 1.0) < 0.025  # by guides alone .95
+    assert led.log_evidence == pytest.approx(bridged(*about).log_evidence, abs=1e-9)
+
+
 def test_starts_that_end_before_a_reading_are_told():
     """What a cloud has no points for no noise of the model brings back."""
     start, sensor = (np.array([1.0, 0.0]), 0.3 * np.eye(2)), sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]])

@@ -11,16 +11,17 @@ from numba import types
 
 from .._addresses import Entry
 from .._jit import MATRIX, VECTOR, jit
-from ..limits import TINY
+from ..elementary import FAST
+from ..limits import LARGEST_EXPONENT, TINY
 from .blocks import blocks_of, centres, multiplied
 from .curve import along_curve
 from .guide import Moved, look_ahead, of_first, over_both
 from .linearise import linearised
 from .move import over
-from .noise import even_normals, mixed, stored
+from .noise import even_normals, mixed, stored, uniform
 from .reader import NET, PARTS, WAY, Part, as_one, as_seen, gone, likelihoods, read
 from .way import AGAIN, FIRST, everywhere
-from .weights import beside, effective, finite_rows, normalise, taken
+from .weights import beside, effective, finite_rows, normalise, systematic, taken
 
 #: Points for each of the prior: the first guide chooses few of these, and what remains of the way parts them.
 #: Measured: with half, with itself and with twice errors of peaks of sin 4 x + y² are .008, .007, .003.
@@ -45,11 +46,13 @@ def bridge(given, nets, key, least, curve):
     total = normalise(np.log(np.maximum(w, TINY)), share)
     flow, lower, rows, whole = as_one(kernel, moved, u, v, block)
     way = Moved(x, y, whole, np.full(N, 1.0 / N), block, flow, lower), moved.end, rows, u
-    ancestor, new, log_ratio = _led(reader, way, share, nets[0], mixed(key, np.uint64(0)))
-    if ancestor.size == 0 or effective(1.0 * np.bincount(ancestor)) < least:
+    own = mixed(key, np.uint64(0))
+    found, log_l = _led(reader, way, share, nets[0], own)
+    if found[0].size == 0 or effective(1.0 * np.bincount(found[0])) < least:
         return none
+    ancestor, new, log_ratio = some_free(found, log_l, share, u, own)
     z = gone(leg, True, taken(x, ancestor), new, block[ancestor], kernel, key)
-    log_w, lineage, stage = total - log_ratio[N:] - math.log(count), ancestor, 0
+    log_w, lineage, stage = total - log_ratio - math.log(count), ancestor, 0
     while _kept(z, log_w):  # each stage takes half of what is left, or its only step
         stage += 1
         own = mixed(key, np.uint64(stage))
@@ -58,17 +61,48 @@ def bridge(given, nets, key, least, curve):
         first, rest = _halved(leg, linear)
         last, total = rest.steps == 0, normalise(log_w, share)
         part, way = _anew(first, rest, linear, moved, x, nets, own)
-        ancestor, new, log_ratio = _led(reader, way, share, nets[0], own)
+        found, log_l = _led(reader, way, share, nets[0], own)
+        ancestor, new, log_ratio = found
         if ancestor.size == 0:
             break
+        if not last:
+            ancestor, new, log_ratio = some_free(found, log_l, share, way[3], own)
         again = mixed(np.uint64(stored(own, PARTS)), np.uint64(AGAIN))
         z = gone(first, linear, taken(x, ancestor), new, way[0].block[ancestor], part, again)
         if last:
             ends, lineage = beside(way[0].y, z), np.concatenate((lineage, lineage[ancestor]))
             log_l, wrong = likelihoods(reader, ends, read(reader, ends))
             return ends, total + over_both(log_l, log_ratio, share), lineage, wrong
-        log_w, lineage, leg = total - log_ratio[count:] - math.log(count), lineage[ancestor], rest
+        log_w, lineage, leg = total - log_ratio - math.log(count), lineage[ancestor], rest
     return none
+
+
+@jit
+def some_free(found, log_l, share, u, key):
+    """What `look_ahead` found for N points, but one of `MORE` goes on as it fell, where that is better.
+
+    A guide that thinks little of a tail draws it never, and heavy weights that nothing has drawn are not
+    missed: better is what has the smaller second moment of weights, as the N points say, that have been
+    everywhere. They have log-likelihoods log_l (N,) at the end, shares (N,) and noise u (n, N). Returns
+    ancestors in order, their noise, and logarithms (count,) of the density over the prior's.
+    """
+    ancestor, new, log_ratio = found
+    N, best = share.size, log_l.max()
+    led, both = 0.0, 0.0
+    for i in range(N if best > -np.inf else 0):
+        ratio = FAST.exp(min(max(log_ratio[i], -LARGEST_EXPONENT), LARGEST_EXPONENT))
+        square = share[i] * FAST.exp(2.0 * (log_l[i] - best))
+        led, both = led + square / ratio, both + square * MORE / (1.0 + (MORE - 1.0) * ratio)
+    ratio = log_ratio[N:]
+    if led <= both:
+        return ancestor, new, ratio
+    free = systematic(share, ancestor.size // MORE, uniform(key, np.uint64(1)))
+    for j in range(free.size):
+        at, i = (j + 1) * MORE - 1, free[j]
+        ancestor[at], new[:, at], ratio[at] = i, u[:, i], log_ratio[i]
+    order = np.argsort(ancestor, kind="mergesort")
+    mixture = np.log((1.0 + (MORE - 1.0) * np.exp(np.minimum(ratio[order], LARGEST_EXPONENT))) / MORE)
+    return ancestor[order], taken(new, order), mixture
 
 
 @jit
@@ -123,14 +157,16 @@ def _linearised(leg, linear, moved, start):
 
 @jit
 def _led(reader, way, share, net, key):
-    """Ancestors (count,), what leads them over the first part of a way, (n, count), and what that is worth.
+    """What `look_ahead` finds over the first part of a way; and log-likelihoods (N,) at the end of all of it.
 
     The way: points that have `Moved` along it, of shares (N,); ends of its blocks; rows of what moves points
     in all of its parts, none where there is but one; and what moves them in the first, (n, N).
     """
     moved, end, rows, u = way
-    seen = as_seen(reader, moved, read(reader, moved.y), end, MISSED)
-    return look_ahead(of_first(seen, rows), u, share, moved.block, net, key)
+    h = read(reader, moved.y)
+    seen = as_seen(reader, moved, h, end, MISSED)
+    found = look_ahead(of_first(seen, rows), u, share, moved.block, net, key)
+    return found, likelihoods(reader, moved.y, h)[0]
 
 
 _CURVE = types.Tuple([types.uint32[::1], types.int64])
