@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cases.tank import TANK, textbook
 
 from experiments.__main__ import main
 from experiments.own_data import plots
@@ -15,25 +16,6 @@ from experiments.show.style import plt
 from sphfilter.errors import ConfigError, ModelError, PropagationError, SphfilterError
 from sphfilter.files.csv_data import read_measurements
 
-A, Q, R, M0, P0 = 0.4, 0.5, 0.3, 1.0, 2.0
-MODEL = f"""
-[model]
-states = ["x"]
-labels = ["level"]
-units = ["m"]
-drift = ["-a*x"]
-noise = [["1"]]
-spectral_density = [[{Q}]]
-parameters = {{ a = {A} }}
-
-[sensor]
-h = [[1.0]]
-noise_cov = [[{R}]]
-
-[start]
-mean = [{M0}]
-cov = [[{P0}]]
-"""
 TIMES = [0.0, 0.5, 0.5, 1.7, 3.0, 3.4]
 READINGS = [1.2, 0.7, 1.1, None, -0.4, 0.1]
 
@@ -41,7 +23,7 @@ READINGS = [1.2, 0.7, 1.1, None, -0.4, 0.1]
 @pytest.fixture
 def model(tmp_path):
     path = tmp_path / "level.toml"
-    path.write_text(MODEL, encoding="utf-8")
+    path.write_text(TANK, encoding="utf-8")
     return path
 
 
@@ -51,21 +33,6 @@ def data(tmp_path):
     lines = [f"{t},{'' if z is None else z}" for t, z in zip(TIMES, READINGS, strict=True)]
     path.write_text("\n".join(["hour,level", *lines, ""]), encoding="utf-8")
     return path
-
-
-def textbook(t0=0.0):
-    """Mean, standard deviation and log-evidence of the Ornstein-Uhlenbeck process by the scalar recursion."""
-    m, P, t, rows = M0, P0, t0, []
-    for t1, z in zip(TIMES, READINGS, strict=True):
-        decay = np.exp(-A * (t1 - t))
-        m, P, t = decay * m, decay**2 * P + Q / (2 * A) * (1 - decay**2), t1
-        evidence = 0.0
-        if z is not None:
-            S = P + R
-            evidence = -0.5 * ((z - m) ** 2 / S + np.log(2 * np.pi * S))
-            m, P = m + P / S * (z - m), P - P**2 / S
-        rows.append((t1, m, np.sqrt(P), evidence))
-    return np.array(rows)
 
 
 def numbers(path):
@@ -79,7 +46,7 @@ class TestCommand:
         out = tmp_path / "out"
         assert main(["filter", "--model", str(model), "--data", str(data), "--filters", "kf,ekf",
                      "--out", str(out)]) == 0  # fmt: skip
-        exact = textbook()
+        exact = textbook(TIMES, READINGS)
         for name in ("kf", "ekf"):
             heading, rows = numbers(out / f"{name}.csv")
             told = ["accepted", "error", "flagged", "variance_error", "outlying"]
@@ -93,7 +60,7 @@ class TestCommand:
         out = tmp_path / "out"
         words = ["filter", "--model", str(model), "--data", str(data), "--filters", "sph,grid,pf"]
         assert main([*words, "--out", str(out)]) == 0
-        exact = textbook()
+        exact = textbook(TIMES, READINGS)
         for name, allowed in (("sph", 0.02), ("grid", 1e-3), ("pf", 0.2)):
             _, rows = numbers(out / f"{name}.csv")
             assert np.max(np.abs(rows[:, 1:3] - exact[:, 1:3]) / exact[:, 2:3]) < allowed, name
@@ -111,11 +78,11 @@ class TestCommand:
         assert np.isfinite(rows[:, heading.index("error")]).all()
 
     def test_start_before_the_first_measurement(self, model, data, tmp_path):
-        model.write_text(MODEL + "time = -2.0\n", encoding="utf-8")
+        model.write_text(TANK + "time = -2.0\n", encoding="utf-8")
         words = ["filter", "--model", str(model), "--data", str(data), "--filters", "kf"]
         assert main([*words, "--out", str(tmp_path)]) == 0
         _, rows = numbers(tmp_path / "kf.csv")
-        np.testing.assert_allclose(rows[:, :4], textbook(t0=-2.0), rtol=1e-9)
+        np.testing.assert_allclose(rows[:, :4], textbook(TIMES, READINGS, t0=-2.0), rtol=1e-9)
 
     def test_all_filters_stop(self, model, data, tmp_path, capsys):
         data.write_text("hour,level\n0,1\n1,1e200\n", encoding="utf-8")
@@ -236,27 +203,27 @@ class TestModelFile:
         ],
     )
     def test_bad_file(self, model, old, new, sentence):
-        model.write_text(MODEL.replace(old, new), encoding="utf-8")
+        model.write_text(TANK.replace(old, new), encoding="utf-8")
         with pytest.raises(SphfilterError) as problem:
             load_model(model)
         assert sentence in str(problem.value)
         assert str(problem.value).startswith(str(model))
 
     def test_sensor_in_text(self, model):
-        model.write_text(MODEL.replace("h = [[1.0]]", 'h = ["x**2"]'), encoding="utf-8")
+        model.write_text(TANK.replace("h = [[1.0]]", 'h = ["x**2"]'), encoding="utf-8")
         assert load_model(model).measurement.H is None
 
     def test_errors_have_their_class(self, model, tmp_path):
         with pytest.raises(ConfigError, match="cannot read"):
             load_model(tmp_path / "none.toml")
-        model.write_text(MODEL.replace("h = [[1.0]]", "h = [[1.0, 0.0]]"), encoding="utf-8")
+        model.write_text(TANK.replace("h = [[1.0]]", "h = [[1.0, 0.0]]"), encoding="utf-8")
         with pytest.raises(ModelError, match="2 columns"):
             load_model(model)
 
 
 @pytest.mark.parametrize(("h", "seen"), [("[[1.0]]", True), ('["x**2"]', False)])
 def test_the_picture_speaks_of_dots_where_there_are_some(model, data, tmp_path, monkeypatch, h, seen):
-    model.write_text(MODEL.replace("h = [[1.0]]", f"h = {h}"), encoding="utf-8")
+    model.write_text(TANK.replace("h = [[1.0]]", f"h = {h}"), encoding="utf-8")
     scenario, found, titles = load_model(model), read_measurements(data, 1), []
     monkeypatch.setattr(plots, "save", lambda figure, path: titles.append(figure.get_suptitle()))
     x = np.zeros((len(found.times), 1))
