@@ -50,13 +50,51 @@ QUICK = {
 }
 
 
+#: Tests of six seconds and more, beside which shorter ones find most of what they find: slow.
+LONG = {
+    "adapters/test_stonesoup_tracker.py::test_nearest_neighbour_is_as_good_as_a_particle_filter_on_the_same_detections",
+    "adapters/test_stonesoup_tracker.py::test_single_target_tracker_with_pda_is_exact_bayes[20-10000-0.05]",
+    "campaign/test_campaign_dask.py::test_dask_gives_the_same_bits_and_keeps_runs",
+    "campaign/test_interrupt.py::test_an_interrupt_that_python_drops_ends_a_campaign_all_the_same",
+    "campaign/test_verdict.py::test_right_filters_are_faulted_one_time_in_a_hundred_at_most",
+    "core/test_linking.py::test_a_function_is_linked_until_python_calls_it_also_from_the_cache",
+    "core/test_linking.py::test_the_import_leaves_alone_what_others_compile",
+    "experiments/test_experiments_converge.py::test_more_nodes_are_no_worse[arguments0-sensors-1e-05]",
+    "experiments/test_own_system.py::test_a_slice_and_a_line_are_drawn_too",
+    "experiments/test_stress.py::test_cases_have_unique_names_and_the_same_bits_each_time",
+    "experiments/test_stress.py::test_the_judge_tells_right_from_wrong[GridFilter-right]",
+    "filter/test_discrete_filter.py::test_stochastic_volatility_and_the_fit_of_its_memory",
+    "filter/test_many_states.py::test_a_linear_chain_is_kalmans_filter_and_its_points_are_near[10]",
+    "filter/test_many_states.py::test_a_linear_chain_is_kalmans_filter_and_its_points_are_near[12]",
+    "filter/test_variance_errors.py::test_variances_are_off_by_as_much_as_is_told[fitzhugh_nagumo]",
+    "inference/test_smoother_changes_in_time.py::test_in_one_go_or_in_two[2-at a reading]",
+    "inference/test_smoother_changes_in_time.py::test_in_one_go_or_in_two[2-drift]",
+    "inference/test_smoother_noise_of_the_state.py::test_one_state[geometric]",
+    "inference/test_smoother_noise_of_the_state.py::test_two_states[two noises]",
+    "model/test_jump_markov.py::test_times_in_a_mode_are_exponential_and_jumps_go_where_the_rates_say",
+    "model/test_simulate.py::test_weak_order_for_additive_noise",
+    "package/test_docstrings.py::test_examples[compile]",
+    "package/test_properties.py::test_mildly_nonlinear_problems_are_solved_or_refused",
+    "prediction/test_noise_of_the_state.py::test_one_equation_written_in_other_ways[function]",
+    "prediction/test_noise_of_the_state.py::test_one_equation_written_in_other_ways[rows]",
+    "reference_filters/test_reference_monte_carlo.py::test_noise_that_depends_on_state_and_time",
+    "reference_filters/test_reference_normals.py::test_they_are_normal",
+}
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
     for item in items:
-        if item.path.suffix == ".ipynb" and item.path.stem not in _SHORT:
+        if (item.path.suffix == ".ipynb" and item.path.stem not in _SHORT) or is_long(item):
             item.add_marker("slow")
         for mark in marks_of(item):
             item.add_marker(mark)
+
+
+def is_long(item):
+    """Whether a test is in the list of long ones."""
+    inside = item.path.is_relative_to(_TESTS)
+    return inside and f"{item.path.relative_to(_TESTS).as_posix()}::{item.name}" in LONG
 
 
 def marks_of(item):

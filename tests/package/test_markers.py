@@ -19,6 +19,12 @@ def test_every_folder_has_its_marks_and_what_is_quick_is_there(conftest):
     assert not any("compiles" in conftest.MARKS[Path(name).parts[0]] for name in conftest.QUICK)
 
 
+def test_what_is_long_is_there(conftest):
+    for name in conftest.LONG:
+        place, _, test = name.partition("::")
+        assert f"def {test.partition('[')[0]}(" in (TESTS / place).read_text(encoding="utf-8"), name
+
+
 def test_this_one_is_quick(request):
     assert request.node.get_closest_marker("quick") and not request.node.get_closest_marker("slow")
 
