@@ -133,6 +133,7 @@ class GaussianPieces(Shape):
     """A sum of Gaussians: all questions in closed form, or by states spread evenly in each."""
 
     pieces: Pieces
+    closed = True
 
     @property
     def heaviest(self) -> Moments:

@@ -69,6 +69,11 @@ class Shape(Protocol):
         return 0
 
     @property
+    def closed(self) -> bool:
+        """Whether linear models and sensors make another of its kind: Gaussians added, each by itself."""
+        return False
+
+    @property
     def own_points(self) -> tuple[Floats, Floats] | None:
         """Points (N, n) and weights (N,) that steps carry, as they lie; None where they carry log p."""
         return None

@@ -32,7 +32,7 @@ def by_ladder(
     Where a lattice had to be taken, the posterior comes down to one family again if that holds it.
     """
     needs = (density.needs or Memory())._replace(legs=0)
-    if density.pieces is not None and asked.linear:
+    if density.form.closed and asked.linear:
         return _on_pieces(density, asked, target, needs)
     exact = _in_closed_form(density, asked, target, needs)
     if exact is not None:

@@ -97,7 +97,7 @@ def propagate(density: ParticleDensity, model: Dynamics, t1: float, target: floa
     needs = (density.needs or Memory()).gone_on()
     if density.gaussian and model.linear and model.domain.unbounded:
         return _closed_form(density, model, t1, needs)
-    if density.pieces is not None and model.linear and model.domain.unbounded:
+    if density.form.closed and model.linear and model.domain.unbounded:
         return _by_pieces(density, model, t1, target, needs)
     if density.form.own_points:
         return _by_cloud(density, model, t1, target, needs)

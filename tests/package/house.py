@@ -58,7 +58,7 @@ BOUNDS = {
     "  with more than 8 arguments": 10,
     "module-level numbers": 375,  # smoothing on clouds 12, draws of parameters 6, the command 5
     "  without derivation or measurement": 121,
-    "places that ask which representation": 11,
+    "places that ask which representation": 9,
     "  files with such places": 9,
     "floors of imports": 30,  # the command stands on fits and forecasts
     "  of the highest room": 11,
