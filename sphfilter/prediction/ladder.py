@@ -40,7 +40,7 @@ Found = TypeVar("Found")
 #: tracking .13, .13, .6, 1.4 asked .1, and .4, .5, 2.3, 1.5 asked .03 (`experiments benchmark`).
 _AS_FAMILIES = {1: 2**9, 2: 2**9, 3: 2**9, 4: 2**8, 5: 2**12}  # and of more as of five
 #: As long as a lattice that makes the same error, by states: of one it pays sooner, and knows its tails; of
-#: three and more never. And as families of five and six, of thousands of nodes. (Of the same command.)
+#: three and more never. And as families of five and six, of thousands of nodes (`experiments benchmark`).
 _AS_LATTICES = {1: 2**11, 2: 2**13}
 #: Evaluations of the drift that a lattice may take for each point of a usual cloud: 15 to 45 ns each, beside
 #: .6 µs of a point, or 5 to 15 times as long, for what it knows of tails. With five times as many three of
