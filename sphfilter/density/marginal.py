@@ -12,8 +12,7 @@ from ..core.field.field import Field
 from ..core.field.stencils import stencils
 from ..core.field.walls import NO_WALLS, Walls
 from ..lattice import field as lattice_field
-from ..lattice.flood import flood
-from ..lattice.level_set import LatticeDensity, lay
+from ..lattice.level_set import LatticeDensity, flood, lay
 from ..lattice.walls import near_walls, node_weights
 
 _FURTHER = 11.0  # nats below a lattice's cut to which tails are summed: exp(-11) = 2e-5 of the density there

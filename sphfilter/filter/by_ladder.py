@@ -14,8 +14,8 @@ from ..density.resample import on_lattice
 from ..info import DOUBTFUL, Code, may_be_off
 from ..lattice.level_set import min_nodes
 from ..lattice.resolved import MOST
+from ..prediction.again import ORDER
 from ..prediction.ladder import becomes_cloud, best_family, first_degree, prefers_cloud
-from ..prediction.to_target import ORDER
 from .by_cloud import by_cloud
 from .by_family import by_family, by_kalman
 from .by_lattice import by_lattice

@@ -7,9 +7,8 @@ from scipy.special import logsumexp
 from ..core.kalman import conditioned
 from ..density.as_family import pieces_density
 from ..density.memory import error_budget
-from ..density.merging import OF_CHANGE, merged
 from ..density.particle_density import ParticleDensity
-from ..density.pieces import Pieces
+from ..density.pieces import OF_CHANGE, Pieces, merged
 from ..lattice.level_set import root_of
 from ..model.measurements import block, is_gaussian
 from .inherited import left_by_update

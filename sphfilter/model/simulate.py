@@ -1,18 +1,18 @@
 """Simulated truths and measurements, with an error in distribution far below that of any filter."""
 
 from itertools import pairwise
-from typing import overload
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import validate
-from .._types import Floats, Seed
+from .._types import Floats, Ints, Seed
+from ..errors import ModelError
 from .dynamics import Dynamics
 from .jump_markov import JumpMarkovModel
 from .named import InputRecord, each_driven
 from .paths import Sampled, advance, drawn_readings, starting_states
-from .simulate_modes import simulate_modes
 
 
 @overload
@@ -96,17 +96,156 @@ def simulate(
     >>> print(f"{many[:, 1].mean():.2f}")  # 2 / e = 0.736
     0.73
     """
-    if isinstance(model, JumpMarkovModel):
-        return simulate_modes(model, measurement, x0, times, rng, n_paths, max_step, inputs)[:2]
+    return _drawn(model, measurement, x0, times, (rng, n_paths, max_step, inputs))[:2]
+
+
+class ModePaths(NamedTuple):
+    """Paths of a model that switches.
+
+    Attributes
+    ----------
+    truth : ndarray, shape (T, n) or (R, T, n)
+    z : ndarray, shape (T, k) or (R, T, k); None without a measurement
+    modes : ndarray of int, shape (T,) or (R, T)
+        Numbers of the modes, in the order of ``model.names``.
+    """
+
+    truth: Floats
+    z: Floats | None
+    modes: Ints
+
+
+def simulate_modes(
+    model: JumpMarkovModel,
+    measurement: Sampled | None,
+    x0: ArrayLike,
+    times: ArrayLike,
+    rng: Seed = None,
+    n_paths: int | None = None,
+    max_step: float | None = None,
+    inputs: InputRecord | None = None,
+    *,
+    mode: str | None = None,
+) -> ModePaths:
+    """Draw paths of a model that switches between modes, the modes, and readings of the paths.
+
+    Jumps come at the times at which they are drawn, not at those of the readings.
+
+    Parameters
+    ----------
+    model : JumpMarkovModel
+    measurement, x0, times, rng, n_paths, max_step, inputs
+        As of `simulate`.
+    mode : str, optional
+        Mode at ``times[0]``; drawn from ``model.stationary`` if not given.
+
+    Returns
+    -------
+    ModePaths
+
+    Raises
+    ------
+    ModelError, PropagationError
+        As `simulate`.
+
+    Examples
+    --------
+    >>> import sphfilter as sf
+    >>> drift = lambda v: sf.LinearSDE([[0.0]], [v], noise=[[0.1]])
+    >>> model = sf.JumpMarkovModel({"left": drift(-1.0), "right": drift(1.0)}, [[-0.5, 0.5], [0.5, -0.5]])
+    >>> truth, z, modes = sf.simulate_modes(model, None, [0.0], range(100), rng=1, mode="left")
+    >>> print(truth.shape, z, modes[0], 0 < modes.mean() < 1)
+    (100, 1) None 0 True
+    """
+    if not isinstance(model, JumpMarkovModel):
+        raise ModelError(
+            f"simulate_modes takes a JumpMarkovModel, got {validate.short(model)}; simulate takes an SDE"
+        )
+    drawn = _drawn(model, measurement, x0, times, (rng, n_paths, max_step, inputs), mode)
+    modes = np.stack(drawn[2], axis=1)
+    return ModePaths(*drawn[:2], modes if drawn[0].ndim == 3 else modes[0])
+
+
+def _drawn(
+    model: Dynamics | JumpMarkovModel,
+    measurement: Sampled | None,
+    x0: ArrayLike,
+    times: ArrayLike,
+    options: tuple[Seed, int | None, float | None, InputRecord | None],
+    mode: str | None = None,
+) -> tuple[Floats, Any, list[Ints]]:
+    """Paths of a model of either kind, readings of them, and the modes (R,) at each time."""
+    rng, n_paths, max_step, inputs = options
     rng, times = validate.generator(rng), validate.times("times", times)
     max_step = None if max_step is None else validate.positive("max_step", max_step)
     x, single = starting_states(x0, n_paths, model.dim)
+    each: list[Any] = each_driven(model, inputs, len(times))
+    modes = [_first_modes(model, mode, len(x), rng)]
     truth = np.empty((len(times), *x.shape))
     truth[0] = x
-    each = each_driven(model, inputs, len(times))
     for i, (before, t) in enumerate(pairwise(times), start=1):
-        x = model.domain.wrap(advance(each[i], x, before, t, rng, max_step)) if t > before else x
+        now, own = modes[-1], each[i]
+        if t > before and isinstance(own, JumpMarkovModel):
+            x, now = advance_modes(own, x, now, (before, t), rng, max_step)
+        elif t > before:
+            x = model.domain.wrap(advance(own, x, before, t, rng, max_step))
         truth[i] = x
+        modes.append(now)
     z = drawn_readings(measurement, truth, times, each, rng)
     truth = truth.transpose(1, 0, 2).copy()
-    return (truth[0], None if z is None else z[0]) if single else (truth, z)
+    return *((truth[0], None if z is None else z[0]) if single else (truth, z)), modes
+
+
+def _first_modes(model: Any, mode: str | None, count: int, rng: np.random.Generator) -> Ints:
+    """Modes (R,) in which paths begin: a given one, or as they are drawn; of a model that has one, zeros."""
+    if not isinstance(model, JumpMarkovModel):
+        return np.zeros(count, np.int64)
+    if mode is None:
+        return rng.choice(len(model.names), size=count, p=model.stationary)
+    return np.full(count, model.names.index(validate.choice("mode", mode, model.names)))
+
+
+def advance_modes(
+    model: JumpMarkovModel,
+    x: Floats,
+    now: Ints,
+    span: tuple[float, float],
+    rng: np.random.Generator,
+    max_step: float | None = None,
+) -> tuple[Floats, Ints]:
+    """States (R, n) and modes (R,) after an interval: those that do not jump go together."""
+    x, now, (t0, t1) = x.copy(), now.copy(), span
+    if model.transitions is not None:
+        return _stepped(model, x, now, span, rng)
+    leaving = -model.rates.diagonal()
+    with np.errstate(divide="ignore"):
+        waits = rng.standard_exponential(len(x)) / leaving[now]
+    stays, sdes = t0 + waits >= t1, list(model.modes.values())
+    for k in np.unique(now[stays]):
+        which = stays & (now == k)
+        x[which] = sdes[k].domain.wrap(advance(sdes[k], x[which], t0, t1, rng, max_step))
+    for r in np.flatnonzero(~stays):
+        t, wait = t0, waits[r]
+        while True:
+            end = min(t + wait, t1)
+            sde = sdes[now[r]]
+            x[r] = sde.domain.wrap(advance(sde, x[r : r + 1], t, end, rng, max_step))[0]
+            if end >= t1:
+                break
+            to = np.maximum(model.rates[now[r]], 0.0)
+            t, now[r] = end, rng.choice(len(to), p=to / to.sum())
+            wait = rng.standard_exponential() / leaving[now[r]] if leaving[now[r]] > 0.0 else np.inf
+    return x, now
+
+
+def _stepped(
+    model: JumpMarkovModel, x: Floats, now: Ints, span: tuple[float, float], rng: np.random.Generator
+) -> tuple[Floats, Ints]:
+    """States (R, n) and modes (R,) after steps of maps, each of which begins with a jump."""
+    ends = np.cumsum(np.asarray(model.transitions), axis=1)
+    for begin, end in pairwise([*model.starts(*span), span[1]]):
+        now = np.minimum((rng.random(len(now))[:, None] > ends[now]).sum(axis=1), len(ends) - 1)
+        for k, mode in enumerate(model.modes.values()):
+            own = now == k
+            x[own] = mode.domain.wrap(advance(mode, x[own], begin, end, rng))
+    return x, now

@@ -29,9 +29,7 @@ from ..model.dynamics import Dynamics
 from ..model.sde import SDE
 from . import automatic, chapman_kolmogorov, cloud, family, pieces
 from ._shared import Predicted
-from .again import MOST_WORK
-from .escape import escaped
-from .to_target import Time, carried_to_target
+from .again import MOST_WORK, Time, carried_to_target
 
 Found = TypeVar("Found")
 
@@ -143,7 +141,7 @@ def _by_family(
         return (moved, info), math.sqrt(max(info.error**2 - density.error**2, 0.0))
 
     allowed = error_budget(density.error, target) * needs.shared
-    if escaped(density, model, t1) > math.sqrt(2.0) * allowed:
+    if family.escaped(density, model, t1) > math.sqrt(2.0) * allowed:
         return None
     best = best_family(density.dim, allowed, first_degree(density.dim, needs), carried)
     if best is None:
