@@ -118,7 +118,6 @@ class Folded(Shape):
     drawn = scattered  # nothing is stretched round a circle
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
-        """Particles of the density of some axes, by name."""
         return self._cut.marginal(axes)
 
     def ends(self) -> tuple[Floats, Floats, Floats]:

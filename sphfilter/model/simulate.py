@@ -11,7 +11,7 @@ from .._types import Floats, Ints, Seed
 from ..errors import ModelError
 from .dynamics import Dynamics
 from .jump_markov import JumpMarkovModel
-from .named import InputRecord, each_driven
+from .named import InputRecord, each_input
 from .paths import Sampled, advance, drawn_readings, starting_states
 
 
@@ -179,7 +179,8 @@ def _drawn(
     rng, times = validate.generator(rng), validate.times("times", times)
     max_step = None if max_step is None else validate.positive("max_step", max_step)
     x, single = starting_states(x0, n_paths, model.dim)
-    each: list[Any] = each_driven(model, inputs, len(times))
+    driving = each_input(model.inputs, inputs, len(times))
+    each: list[Any] = [model if u is None else model.with_inputs(u) for u in driving]
     modes = [_first_modes(model, mode, len(x), rng)]
     truth = np.empty((len(times), *x.shape))
     truth[0] = x
