@@ -11,8 +11,8 @@ from .._types import Floats, Ints, Seed
 from ..errors import ModelError
 from .dynamics import Dynamics
 from .jump_markov import JumpMarkovModel
-from .named import InputRecord, each_input
-from .paths import Sampled, advance, drawn_readings, starting_states
+from .named import InputRecord, driven, each_input
+from .paths import Sampled, advance, advance_modes, starting_states
 
 
 @overload
@@ -192,7 +192,10 @@ def _drawn(
             x = model.domain.wrap(advance(own, x, before, t, rng, max_step))
         truth[i] = x
         modes.append(now)
-    z = drawn_readings(measurement, truth, times, each, rng)
+    z = None
+    if measurement is not None:  # with the inputs that the models of each time have
+        read = zip(truth, times, each, strict=True)
+        z = np.stack([driven(measurement, own.inputs).sample(x, t, rng) for x, t, own in read], axis=1)
     truth = truth.transpose(1, 0, 2).copy()
     return *((truth[0], None if z is None else z[0]) if single else (truth, z)), modes
 
@@ -204,49 +207,3 @@ def _first_modes(model: Any, mode: str | None, count: int, rng: np.random.Genera
     if mode is None:
         return rng.choice(len(model.names), size=count, p=model.stationary)
     return np.full(count, model.names.index(validate.choice("mode", mode, model.names)))
-
-
-def advance_modes(
-    model: JumpMarkovModel,
-    x: Floats,
-    now: Ints,
-    span: tuple[float, float],
-    rng: np.random.Generator,
-    max_step: float | None = None,
-) -> tuple[Floats, Ints]:
-    """States (R, n) and modes (R,) after an interval: those that do not jump go together."""
-    x, now, (t0, t1) = x.copy(), now.copy(), span
-    if model.transitions is not None:
-        return _stepped(model, x, now, span, rng)
-    leaving = -model.rates.diagonal()
-    with np.errstate(divide="ignore"):
-        waits = rng.standard_exponential(len(x)) / leaving[now]
-    stays, sdes = t0 + waits >= t1, list(model.modes.values())
-    for k in np.unique(now[stays]):
-        which = stays & (now == k)
-        x[which] = sdes[k].domain.wrap(advance(sdes[k], x[which], t0, t1, rng, max_step))
-    for r in np.flatnonzero(~stays):
-        t, wait = t0, waits[r]
-        while True:
-            end = min(t + wait, t1)
-            sde = sdes[now[r]]
-            x[r] = sde.domain.wrap(advance(sde, x[r : r + 1], t, end, rng, max_step))[0]
-            if end >= t1:
-                break
-            to = np.maximum(model.rates[now[r]], 0.0)
-            t, now[r] = end, rng.choice(len(to), p=to / to.sum())
-            wait = rng.standard_exponential() / leaving[now[r]] if leaving[now[r]] > 0.0 else np.inf
-    return x, now
-
-
-def _stepped(
-    model: JumpMarkovModel, x: Floats, now: Ints, span: tuple[float, float], rng: np.random.Generator
-) -> tuple[Floats, Ints]:
-    """States (R, n) and modes (R,) after steps of maps, each of which begins with a jump."""
-    ends = np.cumsum(np.asarray(model.transitions), axis=1)
-    for begin, end in pairwise([*model.starts(*span), span[1]]):
-        now = np.minimum((rng.random(len(now))[:, None] > ends[now]).sum(axis=1), len(ends) - 1)
-        for k, mode in enumerate(model.modes.values()):
-            own = now == k
-            x[own] = mode.domain.wrap(advance(mode, x[own], begin, end, rng))
-    return x, now
