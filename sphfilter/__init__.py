@@ -67,8 +67,7 @@ from .model.likelihood import LikelihoodMeasurement
 from .model.measurements import GaussianMeasurement
 from .model.sde import SDE, LinearSDE
 from .model.sensors import Sensors
-from .model.simulate import simulate
-from .model.simulate_modes import simulate_modes
+from .model.simulate import simulate, simulate_modes
 from .model.tables import Table
 from .prediction.predict import predict
 from .prediction.propagate import Trajectory, propagate

@@ -1,6 +1,7 @@
-"""The types that many signatures share, and what values are made of."""
+"""The types that many signatures share, what values are made of, and how they are told on one line."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from datetime import timedelta
 from typing import Any, Literal, Self, TypeAlias
 
@@ -39,3 +40,15 @@ class Noted:
         new = object.__new__(type(self))
         vars(new).update(vars(self) | known)
         return new
+
+
+def in_a_line(thing: Any) -> str:
+    """Return what a dataclass or named tuple holds, on one line: of large arrays their shapes only."""
+    names = [f.name for f in fields(thing) if f.repr] if is_dataclass(thing) else thing._fields
+    return f"{type(thing).__name__}({', '.join(f'{name}={_brief(getattr(thing, name))}' for name in names)})"
+
+
+def _brief(value: Any) -> str:
+    if not isinstance(value, np.ndarray):
+        return " ".join(repr(value).split())
+    return repr(value.tolist()) if value.size <= 9 else f"array of shape {value.shape}"  # up to 3 × 3

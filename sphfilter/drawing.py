@@ -58,12 +58,10 @@ def density(p: Any, names: Sequence[str], axes: Sequence[int], ax: Any = None) -
     """Draw the density of some states: a line, a map with the smallest regions, or all pairs."""
     if len(axes) > 6:
         raise ModelError(f"a picture has six states at most, got {len(axes)}; choose some by states=")
+    ax = _one_or_pairs(names, axes, ax, lambda own, panel: _one_or_two(p, names, own, panel))
     if len(axes) <= 2:
-        ax = _single() if ax is None else ax
-        _one_or_two(p, names, axes, ax)
         ax.set_title(f"t = {p.t:g}", loc="left", fontsize=9)
-        return ax
-    return _pairs(names, axes, ax, lambda own, panel: _one_or_two(p, names, own, panel))
+    return ax
 
 
 def _one_or_two(p: Any, names: Sequence[str], axes: Sequence[int], ax: Any) -> None:
@@ -71,9 +69,7 @@ def _one_or_two(p: Any, names: Sequence[str], axes: Sequence[int], ax: Any) -> N
     ranges = [_range(own, a) for a in range(own.dim)]
     if own.dim == 1:
         x = np.linspace(*ranges[0], 400)
-        y = own.pdf(x[:, None])
-        ax.fill_between(x, y, alpha=0.2, color=_COLOUR, lw=0)
-        ax.plot(x, y, color=_COLOUR)
+        _filled(ax, x, own.pdf(x[:, None]))
         ax.set_ylim(bottom=0.0)
         _finish(ax, names[axes[0]], "density")
         return
@@ -90,6 +86,11 @@ def _one_or_two(p: Any, names: Sequence[str], axes: Sequence[int], ax: Any) -> N
     mean = own.mean()
     ax.plot(*mean, "+", color="0.2", ms=8)
     _finish(ax, names[axes[0]], names[axes[1]])
+
+
+def _filled(ax: Any, x: Floats, y: Floats) -> None:
+    ax.fill_between(x, y, alpha=0.2, color=_COLOUR, lw=0)
+    ax.plot(x, y, color=_COLOUR)
 
 
 def _range(p: Any, axis: int) -> tuple[float, float]:
@@ -184,9 +185,7 @@ def fit(found: Any, names: Sequence[str], axes: Sequence[int], ax: Any) -> Any:
         a, b = own[0], own[-1]
         if a == b:
             x = middle[a] + np.linspace(-4.0, 4.0, 400) * wide[a]
-            y = np.exp(-0.5 * ((x - middle[a]) / wide[a]) ** 2)
-            panel.fill_between(x, y, alpha=0.2, color=_COLOUR, lw=0)
-            panel.plot(x, y, color=_COLOUR)
+            _filled(panel, x, np.exp(-0.5 * ((x - middle[a]) / wide[a]) ** 2))
             panel.set_yticks([])
             _finish(panel, names[a], "")
             return

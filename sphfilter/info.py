@@ -11,8 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from ._lines import in_a_line
-from ._types import Bools, Floats, Noted
+from ._types import Bools, Floats, Noted, in_a_line
 from .core.limits import EDGE
 
 #: The reason of an update without a reading, which is none to worry about.

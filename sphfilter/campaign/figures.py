@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import consistency
-from .._lines import in_a_line
-from .._types import Bools, Floats, Ints
+from .._types import Bools, Floats, Ints, in_a_line
 from ..consistency import p_values
 from ..filter.results import FilterResult
 

@@ -13,8 +13,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._lines import in_a_line
-from .._types import Floats
+from .._types import Floats, in_a_line
 from ..consistency.ranks import Ranker, clock, gaussian_ranks
 from ..errors import ModelError
 from ..filter.results import TRUTHS, AnyFilter, shapes

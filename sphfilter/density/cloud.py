@@ -34,7 +34,6 @@ class Cloud(Kernels):
 
     @cached_property
     def mixture(self) -> Any:
-        """The kernels that the pdf sums; made at the first question."""
         local = local_kernels(self.x, self.mass) if self.images is None else self.images
         return mixture.mixture(self.x, self.mass, self.h, self.kernel) if local is None else local
 

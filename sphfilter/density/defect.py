@@ -26,7 +26,6 @@ ROUGH = HIGHEST
 #: Standard deviations. Measured: .029 of 592 errors are told to a third at most and .46 to three times as
 #: much; with ten times .020 and .52, with none .16 and .33.
 _LEAST = 1e-5
-_MOST = 1.0  # variance of errors without a sign, over that of the density: they say nothing more
 
 
 @cache
@@ -187,7 +186,8 @@ def _without_sign(prior: Family, defect: Defect, moments: Moments) -> tuple[Floa
     left = math.sqrt(min(float(np.trace(gain)) / n, 1.0))
     size = defect.rough(prior) * steepness(moments, degree)
     U = gain @ defect.U @ gain.T + own_cov * size**2 / n
-    U *= min(1.0, _MOST * n / max(float(np.linalg.solve(own_cov, U).trace()), TINY))
+    # errors without a sign have the density's own variance at most: more would say nothing more
+    U *= min(1.0, n / max(float(np.linalg.solve(own_cov, U).trace()), TINY))
     return U, defect.rest * left ** (degree + 2)
 
 

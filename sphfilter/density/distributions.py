@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._lines import in_a_line
-from .._types import Floats, OfStates
+from .._types import Floats, OfStates, in_a_line
 from ..core.field.walls import Walls
 from ..errors import ModelError
 from ..validate import array, covariance

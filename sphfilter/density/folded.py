@@ -28,6 +28,7 @@ class Folded(Shape):
     smooth = _of_shape("smooth")
     cell = _of_shape("cell")
     degree = _of_shape("degree")
+    closed = _of_shape("closed")
     own_points = _of_shape("own_points")
     known_entropy = _of_shape("known_entropy")
     heaviest = _of_shape("heaviest")
@@ -117,7 +118,6 @@ class Folded(Shape):
     drawn = scattered  # nothing is stretched round a circle
 
     def marginal(self, axes: Sequence[int]) -> dict[str, Any]:
-        """Particles of the density of some axes, by name."""
         return self._cut.marginal(axes)
 
     def ends(self) -> tuple[Floats, Floats, Floats]:

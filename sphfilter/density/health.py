@@ -19,8 +19,6 @@ _MIXED = 0.1
 _CLUMPED = 0.05
 #: Share of the particles that moves without any neighbour. Those at the rim come first, and carry nothing.
 _ASTRAY = 0.05
-_FIT_REACH = 2.0  # supports, within which the neighbours of a polynomial lie
-_NEIGHBORS_A_TERM = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,7 +127,7 @@ def _as_kernels_see(density: ParticleDensity) -> tuple[Floats, Floats, Floats]:
     K = density.sph_kernel.radius
     if not (density.form.smooth or density.form.own_points):
         if density.domain is not None:
-            reach = _FIT_REACH * K * h.max()
+            reach = 2.0 * K * h.max()  # supports, within which the neighbours of a polynomial lie
             x, mass, h = density.domain.seen(density.domain.fold(x), mass, h, reach)
         return np.ascontiguousarray(x), mass, K * h
     factor = np.linalg.cholesky(density.cov("points"))
@@ -157,7 +155,7 @@ def _smoothed(z: Floats, values: Floats) -> tuple[Floats, Floats]:
     powers = up_to(2, n)
     if len(powers) > max(n + 1, N // 2):
         powers = up_to(1, n)
-    distance, neighbors = cKDTree(z).query(z, min(_NEIGHBORS_A_TERM * len(powers), N - 1) + 1)
+    distance, neighbors = cKDTree(z).query(z, min(3 * len(powers), N - 1) + 1)  # three for each term
     reach = distance[:, -1:]
     d = (z[neighbors] - z[:, None]) / reach[:, :, None]
     basis = np.stack([np.prod(d[..., np.repeat(range(n), power)], axis=-1) for power in powers], axis=-1)

@@ -12,20 +12,13 @@ from numpy.typing import ArrayLike
 from .._types import Floats, OfStates
 from ..config import AnyConfig, CloudScheme, FilterConfig, LogDensityScheme, PaperScheme, Scheme, SolverConfig
 from ..core.family.rules import MOST, degrees
-from ..core.field.walls import NO_WALLS, Walls
+from ..core.field.walls import NO_WALLS
 from ..core.limits import EDGE
 from ..core.sph.kernels import Kernel
 from ..errors import ModelError, PropagationError
 from ..lattice.check import deep_enough, misfit, remote
 from ..lattice.field import inside_lattice
-from ..lattice.level_set import (
-    LatticeDensity,
-    enough_particles,
-    fewest_particles,
-    lattice_depth,
-    lay,
-    min_nodes,
-)
+from ..lattice.level_set import enough_particles, fewest_particles, lattice_depth, lay, min_nodes
 from ..lattice.regular import Lattice, heaviest, place_gaussian
 from ..model.domain import Domain, DomainLike
 from ..validate import array, choice, count, real, row
@@ -120,7 +113,14 @@ def initialize(
     domain = _bounds(domain, box)
     if not isinstance(scheme, PaperScheme):
         if not isinstance(distribution, Uniform) and (domain is None or isinstance(distribution, Gaussian)):
-            return _on_level_set(distribution, box, n_particles, scheme, t, domain)
+            try:
+                return _on_level_set(distribution, box, n_particles, scheme, t, domain)
+            except PropagationError as problem:
+                if n_particles >= fewest_particles(n := len(box)):
+                    raise
+                raise ModelError(
+                    f"n_particles = {n_particles} is too small for {n} states: {problem}"
+                ) from None
         if domain is None and isinstance(distribution, Uniform):
             return _uniform(distribution, box, n_particles, t)  # edges have no smooth logarithm
         scheme = PaperScheme(kernel="wendland_c2")
@@ -288,7 +288,7 @@ def _on_level_set(
         factor: Any = np.linalg.cholesky(cov)
         walls = NO_WALLS if domain is None else domain.walls
         log_pdf, seed = gaussian_log_pdf(mean, cov), np.clip(mean, *walls) if walls[0].size else mean
-        laid = _laid(log_pdf, mean, factor, seed[None], n_particles, depth, walls)
+        laid = lay(log_pdf, mean, factor, seed[None], n_particles, depth, walls=walls)
         whole = not walls[0].size
         if whole:
             kept = float(np.trace(np.linalg.solve(cov, laid.cov))) / len(mean)
@@ -306,7 +306,7 @@ def _on_level_set(
     if not getattr(scheme, "reach", None):
         depth = deep_enough(log_p(coarse.x), coarse.x, coarse.mass, depth)
     seeds = coarse.x[coarse.mass > coarse.mass.max() * np.exp(-depth)]
-    laid = _laid(log_p, coarse.mean(), factor, seeds, n_particles, depth)
+    laid = lay(log_p, coarse.mean(), factor, seeds, n_particles, depth)
     off, beyond = misfit(laid, log_p), ~inside_lattice(laid.field, coarse.x)
     far = remote(laid.mean, laid.cov, coarse.x[beyond], coarse.mass[beyond])
     error = math.hypot(off.mean, far.mean, 0.5 * far.variance)  # a part of the variance, as one of its root
@@ -325,24 +325,6 @@ def _say_what_is_missing(n: int, n_particles: int, kept: float) -> None:
             enough_particles(n),
             ', or n_particles="auto"' if degrees(n) else "",
         )
-
-
-def _laid(
-    log_p: OfStates,
-    mean: Floats,
-    factor: Floats,
-    seeds: Floats,
-    n_particles: int,
-    depth: float,
-    walls: Walls = NO_WALLS,
-) -> LatticeDensity:
-    n = len(mean)
-    try:
-        return lay(log_p, mean, factor, seeds, n_particles, depth, walls=walls)
-    except PropagationError as problem:
-        if n_particles >= fewest_particles(n):
-            raise
-        raise ModelError(f"n_particles = {n_particles} is too small for {n} states: {problem}") from None
 
 
 def _from_gaussian(gaussian: Gaussian, n_particles: int, scheme: PaperScheme, t: float) -> ParticleDensity:

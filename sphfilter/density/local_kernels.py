@@ -17,8 +17,9 @@ from ..core.sph.kernels import Kernel
 _KERNELS = 1024
 #: Width of what looks about, over N^(-1/(n + 8)), as `python tests/density/kernel_widths.py` measures it.
 _WIDTH = 1.4
-_POINTS_A_TERM = 2  # of the polynomial of slopes
-_CLIP = 5.0  # standard deviations, beyond which polynomials keep the values that they have there
+#: Standard deviations, beyond which polynomials keep the values that they have there: 2 (1 - Φ(5)) = 6e-7 of
+#: a Gaussian of one state.
+_CLIP = 5.0
 _RIDGE = 1e-10  # of the mean diagonal of the normal matrix: rounding, 1e-16, over a hundred terms squared
 _BLOCK = 4096  # points at a time: of 35 terms, as four states have, 8 · 35 _BLOCK = 1.1 MB
 
@@ -166,7 +167,7 @@ def _slope(z: Floats, mass: Floats) -> Floats:
     """
     N, n = z.shape
     points = min(N, 1.0 / np.sum(mass**2))
-    degree = max((p for p in (1, 2, 3) if _POINTS_A_TERM * math.comb(n + p, p) <= points), default=1)
+    degree = max((p for p in (1, 2, 3) if 2 * math.comb(n + p, p) <= points), default=1)  # two for each term
     powers = np.array(up_to(degree, n))
     normal, pull = np.zeros((len(powers), len(powers))), np.zeros((len(powers), n))
     for k in range(0, N, _BLOCK):

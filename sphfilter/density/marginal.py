@@ -1,6 +1,5 @@
 """Marginals of a log-density on a lattice: sums over the other axes, laid on a lattice of their own."""
 
-import math
 from collections.abc import Sequence
 from functools import partial
 
@@ -13,14 +12,11 @@ from ..core.field.field import Field
 from ..core.field.stencils import stencils
 from ..core.field.walls import NO_WALLS, Walls
 from ..lattice import field as lattice_field
-from ..lattice.flood import flood
-from ..lattice.level_set import LatticeDensity, lay
+from ..lattice.level_set import LatticeDensity, flood, lay
 from ..lattice.walls import near_walls, node_weights
 
 _FURTHER = 11.0  # nats below a lattice's cut to which tails are summed: exp(-11) = 2e-5 of the density there
 _RINGS = 2  # of cells beyond its nodes that a density has in planes through it
-_FINE_UP_TO = 2  # other axes, along which the sum takes two terms a cell, and one along more
-_FINER = 2.0  # times finer a marginal's lattice is along an axis
 _FEWEST = {1: 60, 2: 500, 3: 1500}  # nodes of a marginal at least, and so many with more states
 _BLOCK = 500_000  # terms at a time: 8 n _BLOCK = 4 n MB
 
@@ -54,7 +50,7 @@ def marginal_on_lattice(
     factor = np.linalg.cholesky((field.A @ field.A.T)[np.ix_(order, order)])
     z = np.linalg.solve(factor, (x - field.mu)[:, order].T).T
     shadow = len(np.unique(np.floor(z[:, :k] + 0.5), axis=0))
-    n_nodes = max(_FEWEST.get(k, _FEWEST[3]), math.ceil(_FINER**k * shadow))
+    n_nodes = max(_FEWEST.get(k, _FEWEST[3]), 2**k * shadow)  # twice as fine along each axis
     mean, own = (mass @ x)[axes], np.ascontiguousarray(factor[:k, :k])
     seeds, depth = np.unique(x[:, axes], axis=0), np.ptp(field.log_p[: field.kept])
     first, last = ((end[order[:k]], end[order[k:]]) if end.size else (end, end) for end in walls)
@@ -105,6 +101,6 @@ def _plane(z: Floats) -> tuple[Floats, float]:
     mark = np.zeros(whole.max(axis=0) - low + _RINGS + 1, dtype=bool)
     mark[tuple((whole - low).T)] = True
     mark = ndimage.binary_dilation(mark, np.ones([3] * m), _RINGS)
-    parts = 2 if m <= _FINE_UP_TO else 1
+    parts = 2 if m <= 2 else 1  # terms a cell along each axis: two along three make eight
     mark = np.kron(mark, np.ones([parts] * m, dtype=bool))
     return (np.argwhere(mark) + 0.5) / parts - 0.5 + low, 1.0 / parts

@@ -27,7 +27,7 @@ from .memory import Memory
 from .pieces import Pieces
 from .points import CloudState
 from .shapes import Kernels, Polynomials, Shape, lattice_particles
-from .weighted import WeightedStates
+from .weighted import WeightedStates, hpd_rank
 
 READ_OUTS: tuple[ReadOut, ...] = ("points", "mixture", "log_density", "cloud", "family", "pieces")
 SUMMED = 1e-14  # from one, of a sum of normalised masses; measured: 3e-16 at most of ten to 10^6
@@ -389,7 +389,7 @@ class ParticleDensity(Noted):
         The rank is zero at the mode, one far away, and uniform for states drawn from the density: where a
         truth lies outside of the 95 % region as often as one time in twenty, the density is calibrated.
         """
-        return statistics.hpd_rank(self._between(kind), X)
+        return hpd_rank(self.spread(kind), state_rows("X", X, self.dim))
 
     def spread(self, kind: ReadOut | None = None) -> WeightedStates:
         """The density as states and weights whose sums are its expectations, `WeightedStates`."""

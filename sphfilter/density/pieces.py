@@ -12,6 +12,7 @@ from scipy.special import logsumexp
 from .._types import Bools, Floats, Ints
 from ..core.family.rules import rule as family_rule
 from ..core.limits import LOG_2_PI, ROUNDS
+from ..core.merging import merge
 from ..lattice.level_set import LatticeDensity, root_of, usual_nodes
 from .family import laid_by
 from .moments import moments_of_sum
@@ -20,6 +21,9 @@ from .shapes import Moments, Shape
 
 ENTRIES = 2**21  # of an array of states times pieces: 8 ENTRIES = 16 MB
 NEAR = 2.5  # widths of a piece within which neighbours' middles lie: 2 Φ(-2.5) = .012 of it lies beyond
+#: Part of the change of log p by mergers, that is an error of the mean. Measured: with half and twice errors
+#: are .9 to 1.1 times as large.
+OF_CHANGE = 0.2
 
 
 class Pieces(NamedTuple):
@@ -113,6 +117,18 @@ def pieces_of(mean: Floats, cov: Floats) -> Pieces:
     return Pieces(np.zeros(1), np.array([mean]), root_of(cov)[None])
 
 
+def merged(pieces: Pieces, most: float, reach: float = 1.0) -> tuple[Pieces, float]:
+    """Merge pairs of pieces, the most alike first, until log p would change by more than `most`.
+
+    With a `reach` that is asked so many times as far out. Returns the pieces, and the change of log p,
+    averaged over the mass.
+    """
+    xi, u = nodes(pieces.mean.shape[1])
+    *parts, debt = merge(*map(np.ascontiguousarray, pieces), most, NEAR, np.array(reach * xi.T, order="C"), u)
+    found = Pieces(*parts)
+    return found.normalised(), float(found.w @ debt)
+
+
 def particles_of_pieces(pieces: Pieces) -> dict[str, Any]:
     """Fields of a density of pieces, by name: their nodes are its particles."""
     xi, u = nodes(pieces.mean.shape[1])
@@ -133,6 +149,7 @@ class GaussianPieces(Shape):
     """A sum of Gaussians: all questions in closed form, or by states spread evenly in each."""
 
     pieces: Pieces
+    closed = True
 
     @property
     def heaviest(self) -> Moments:

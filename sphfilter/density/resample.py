@@ -25,7 +25,7 @@ from .distributions import gaussian_log_pdf
 from .particle_density import ParticleDensity
 from .particles import particles_on
 
-_FAINT = -12.0  # logarithm of a Gaussian's weight beside a mixture of kernels
+_FAINT = -12.0  # logarithm of a Gaussian's weight beside a mixture of kernels: exp(-12) = 6e-6
 
 
 def resample(

@@ -16,7 +16,6 @@ from .._types import Bools, Floats, Ints, OfStates
 from ..core.cloud.control import SHADOW, error_by
 from ..core.limits import LITTLE, TINY
 from ..errors import ModelError
-from ..validate import state_rows
 from . import weighted
 from .cloud import KERNEL, smoothing_length
 from .defect import OF_SHIFT, read_out
@@ -134,11 +133,6 @@ def spread(density: "ParticleDensity") -> WeightedStates:
     """A density as `WeightedStates`: points in its cells or kernels, and how it is read between them."""
     X, w = density.form.states(FEW_SUBPOINTS, False)
     return WeightedStates(X, w, density.logpdf)
-
-
-def hpd_rank(density: "ParticleDensity", X: ArrayLike) -> Floats:
-    """Probability of the region where the density is higher than at each state of X (M, n), shape (M,)."""
-    return weighted.hpd_rank(spread(density), state_rows("X", X, density.dim))
 
 
 def mode(density: "ParticleDensity") -> Floats:

@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._lines import in_a_line
-from .._types import Floats
+from .._types import Floats, in_a_line
 from ..errors import ModelError
 
 

@@ -24,9 +24,8 @@ from ..model.compile import StateFunction
 from ..model.dynamics import Dynamics
 from ..model.measurements import Sensor
 from ..model.named import InputRecord, InputValues, check_parameters, driven, parametrised
-from ..prediction.again import Outcome, or_as_cloud, predict_from_finer
+from ..prediction.again import Outcome, Time, or_as_cloud, predict_from_finer
 from ..prediction.predict import Prediction, predict
-from ..prediction.to_target import Time
 from ..validate import count, real, seconds, short
 from .budget import Budget
 from .checkpoint import restored

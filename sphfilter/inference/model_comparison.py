@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._lines import in_a_line
-from .._types import Floats, Ints, Readings, Rows
+from .._types import Floats, Ints, Readings, Rows, in_a_line
 from ..errors import ModelError
 from ..filter.readings import rows_of
 from ..filter.results import AnyFilter

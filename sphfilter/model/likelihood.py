@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import validate
-from .._types import Bools, Floats, Seed
+from .._types import Floats, Seed
 from ..errors import ModelError
-from .measurements import Reading
+from .measurements import PlainSensor
 
 #: loglik(z, X, t) → (N,), and sample(X, t, rng) → (N, k).
 LogLikelihood: TypeAlias = Callable[[Floats, Floats, float], ArrayLike]
@@ -19,7 +19,7 @@ Sampler: TypeAlias = Callable[[Floats, float, np.random.Generator], ArrayLike]
 Peaks: TypeAlias = Callable[[Floats], ArrayLike]
 
 
-class LikelihoodMeasurement:
+class LikelihoodMeasurement(PlainSensor):
     """Any sensor whose likelihood can be computed.
 
     Parameters
@@ -44,11 +44,6 @@ class LikelihoodMeasurement:
     [-1.     0.296]
     """
 
-    H: None = None
-    directly_observed: None = None
-    noise_cov: None = None
-    angles: tuple[int, ...] = ()
-
     def __init__(
         self,
         loglik: LogLikelihood,
@@ -59,20 +54,12 @@ class LikelihoodMeasurement:
         if not callable(loglik):
             raise ModelError(f"loglik must be a function (z, X, t) -> (N,), got {loglik!r}.")
         _check_arguments(loglik)
-        self.dim_z = None if dim_z is None else validate.count("dim_z", dim_z)
+        self.dim_z: int | None = None if dim_z is None else validate.count("dim_z", dim_z)
         self._loglik, self._sample, self.peaks = loglik, sample, peaks
 
     def __repr__(self) -> str:
         name = getattr(self._loglik, "__name__", self._loglik)
         return f"LikelihoodMeasurement(loglik={name}, dim_z={self.dim_z})"
-
-    def observed(self, z: ArrayLike | None) -> Bools:
-        """Return which components of z were measured, bool (k,); all False for None."""
-        return self.reading(z).seen
-
-    def reading(self, z: ArrayLike | None) -> Reading:
-        """Return z as a `Reading`."""
-        return Reading.of(z, self.dim_z)
 
     def log_likelihood(self, z: ArrayLike | None, X: ArrayLike, t: float = 0.0) -> Floats:
         """Return log p(z | x) for each state X (N, n), shape (N,); zeros when all of z is missing."""

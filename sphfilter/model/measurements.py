@@ -123,7 +123,31 @@ def has_own_likelihood(sensor: object) -> bool:
     return all(getattr(kind, name, None) is getattr(GaussianMeasurement, name) for name in names)
 
 
-class GaussianMeasurement(Adjustable):
+class PlainSensor:
+    """What most sensors are, or have: no known matrix or noise, and readings of `dim_z` numbers."""
+
+    H: Floats | None = None
+    directly_observed: tuple[Ints, Floats] | None = None
+    noise_cov: Floats | None = None
+    angles: tuple[int, ...] = ()
+    dim_z: Any = None  # length of z; not checked when None
+
+    def observed(self, z: ArrayLike | None) -> Bools:
+        """Return which components of z were measured, bool (k,): NaN (or None for all) means missing.
+
+        Raises
+        ------
+        ModelError
+            z of the wrong length, or infinite.
+        """
+        return self.reading(z).seen
+
+    def reading(self, z: ArrayLike | None) -> Reading:
+        """Return z as a `Reading`; see `observed`."""
+        return Reading.of(z, self.dim_z)
+
+
+class GaussianMeasurement(PlainSensor, Adjustable):
     """z = h(x, t) + v with v ~ N(0, R) (002 (2)); R may depend on state and time too.
 
     Parameters
@@ -184,9 +208,7 @@ class GaussianMeasurement(Adjustable):
 
     _called = "The sensor"
     gaussian_noise = True
-    noise_cov: Floats | None
-    H: Floats | None
-    directly_observed: tuple[Ints, Floats] | None
+    dim_z: int
     _matrix: Floats | None  # h, whatever R is
     _fill: BatchFunction | None
     _noise: BatchFunction | None
@@ -428,20 +450,6 @@ class GaussianMeasurement(Adjustable):
         above, below = x + steps, x - steps
         rise = self.residual(self.predict(above, t), self.predict(below, t))
         return (rise / np.diag(above - below)[:, None]).T
-
-    def observed(self, z: ArrayLike | None) -> Bools:
-        """Return which components of z were measured, bool (k,): NaN (or None for all) means missing.
-
-        Raises
-        ------
-        ModelError
-            z of the wrong length, or infinite.
-        """
-        return self.reading(z).seen
-
-    def reading(self, z: ArrayLike | None) -> Reading:
-        """Return z as a `Reading`; see `observed`."""
-        return Reading.of(z, self.dim_z)
 
     def log_likelihood(self, z: ArrayLike | None, X: ArrayLike, t: float = 0.0) -> Floats:
         """Return log p(z | x) for each state X (N, n), shape (N,), with its normalising constant.

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, Protocol, Self, TypeAlias, TypeVar
+from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,20 +17,6 @@ Inputs: TypeAlias = Sequence[str] | Mapping[str, float]
 InputValues: TypeAlias = ArrayLike | Mapping[str, float]
 #: Values of inputs at each of T times: (T, m), (T,) of one input, or columns (T,) by name.
 InputRecord: TypeAlias = ArrayLike | Mapping[str, ArrayLike]
-
-
-class Driven(Protocol):
-    """A model with inputs."""
-
-    @property
-    def inputs(self) -> Mapping[str, float]:
-        """Values of the inputs now, by name."""
-
-    def with_inputs(self, u: InputValues) -> Self:
-        """The model with other values."""
-
-
-Model = TypeVar("Model", bound=Driven)
 
 
 class Values(NamedTuple):
@@ -201,11 +187,6 @@ def each_input(names: Iterable[str], record: InputRecord | None, count: int) -> 
 
 def _is_column(record: Any) -> bool:
     return isinstance(record, Sequence | np.ndarray) and all(np.ndim(value) == 0 for value in record)
-
-
-def each_driven(model: Model, record: InputRecord | None, count: int) -> list[Model]:
-    """A model with the values that its inputs have in each of `count` intervals."""
-    return [model if u is None else model.with_inputs(u) for u in each_input(model.inputs, record, count)]
 
 
 def driven(sensor: Any, inputs: Mapping[str, float]) -> Any:

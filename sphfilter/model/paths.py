@@ -1,15 +1,15 @@
 """Paths of models: states moved from one time to another, each with noise of its own, and their readings."""
 
 import math
-from collections.abc import Sequence
 from functools import lru_cache
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import validate
-from .._types import Floats
+from .._types import Floats, Ints
 from ..core.domain import bounce
 from ..core.limits import LOOK, ROUNDING
 from ..core.sde_steps import normals_per_step, steps
@@ -21,7 +21,6 @@ from .discretization import linear_transition
 from .domain import Domain
 from .dynamics import Dynamics
 from .jump_markov import JumpMarkovModel
-from .named import driven
 from .sde import SDE
 from .timing import spans
 
@@ -48,20 +47,6 @@ def starting_states(x0: ArrayLike, n_paths: int | None, n: int) -> tuple[Floats,
     if len(x) != 1:
         raise ModelError(f"x0 has {len(x)} rows; with n_paths= give one state of shape ({n},).")
     return np.repeat(x, validate.count("n_paths", n_paths), axis=0), False
-
-
-def drawn_readings(
-    measurement: Sampled | None,
-    truth: Floats,
-    times: Floats,
-    models: Sequence[Dynamics | JumpMarkovModel],
-    rng: np.random.Generator,
-) -> Floats | None:
-    """Return readings (R, T, k) of states (T, R, n), with the inputs that the models of each time have."""
-    if measurement is None:
-        return None
-    read = zip(truth, times, models, strict=True)
-    return np.stack([driven(measurement, own.inputs).sample(x, t, rng) for x, t, own in read], axis=1)
 
 
 def advance(
@@ -91,6 +76,52 @@ def advance(
     for begin, end in spans(model.breaks(t0, t1), t0, t1):
         x = _advance(model, x, begin, end, rng, max_step)
     return x
+
+
+def advance_modes(
+    model: JumpMarkovModel,
+    x: Floats,
+    now: Ints,
+    span: tuple[float, float],
+    rng: np.random.Generator,
+    max_step: float | None = None,
+) -> tuple[Floats, Ints]:
+    """States (R, n) and modes (R,) after an interval: those that do not jump go together."""
+    x, now, (t0, t1) = x.copy(), now.copy(), span
+    if model.transitions is not None:
+        return _stepped(model, x, now, span, rng)
+    leaving = -model.rates.diagonal()
+    with np.errstate(divide="ignore"):
+        waits = rng.standard_exponential(len(x)) / leaving[now]
+    stays, sdes = t0 + waits >= t1, list(model.modes.values())
+    for k in np.unique(now[stays]):
+        which = stays & (now == k)
+        x[which] = sdes[k].domain.wrap(advance(sdes[k], x[which], t0, t1, rng, max_step))
+    for r in np.flatnonzero(~stays):
+        t, wait = t0, waits[r]
+        while True:
+            end = min(t + wait, t1)
+            sde = sdes[now[r]]
+            x[r] = sde.domain.wrap(advance(sde, x[r : r + 1], t, end, rng, max_step))[0]
+            if end >= t1:
+                break
+            to = np.maximum(model.rates[now[r]], 0.0)
+            t, now[r] = end, rng.choice(len(to), p=to / to.sum())
+            wait = rng.standard_exponential() / leaving[now[r]] if leaving[now[r]] > 0.0 else np.inf
+    return x, now
+
+
+def _stepped(
+    model: JumpMarkovModel, x: Floats, now: Ints, span: tuple[float, float], rng: np.random.Generator
+) -> tuple[Floats, Ints]:
+    """States (R, n) and modes (R,) after steps of maps, each of which begins with a jump."""
+    ends = np.cumsum(np.asarray(model.transitions), axis=1)
+    for begin, end in pairwise([*model.starts(*span), span[1]]):
+        now = np.minimum((rng.random(len(now))[:, None] > ends[now]).sum(axis=1), len(ends) - 1)
+        for k, mode in enumerate(model.modes.values()):
+            own = now == k
+            x[own] = mode.domain.wrap(advance(mode, x[own], begin, end, rng))
+    return x, now
 
 
 def _advance(

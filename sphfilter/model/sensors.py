@@ -8,13 +8,13 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from .. import validate
-from .._types import Bools, Floats, Seed
+from .._types import Floats, Seed
 from ..errors import ModelError, nearest
-from .measurements import Reading, direct_states, has_gaussian_noise, is_gaussian, wrapped
+from .measurements import PlainSensor, Reading, direct_states, has_gaussian_noise, is_gaussian, wrapped
 from .named import Adjustable, shared
 
 
-class Sensors(Adjustable, Mapping[str, Any]):
+class Sensors(PlainSensor, Adjustable, Mapping[str, Any]):
     """Several sensors of one system as one sensor, whose reading is theirs one after the other.
 
     Where a sensor has no reading, its numbers are NaN: each may have its own rate. Their noises are
@@ -84,14 +84,14 @@ class Sensors(Adjustable, Mapping[str, Any]):
             name: slice(int(end - size), int(end))
             for name, size, end in zip(self._parts, sizes, ends, strict=True)
         }
-        self.dim_z = int(ends[-1])
+        self.dim_z: int = int(ends[-1])
         own = [*self._parts.values()]
         self._check_widths()
         covs, Hs = [s.noise_cov for s in own], [s.H for s in own]
         self.gaussian_noise = all(has_gaussian_noise(sensor) for sensor in own)
-        self.noise_cov: Floats | None = None if any(R is None for R in covs) else block_diag(*covs)
+        self.noise_cov = None if any(R is None for R in covs) else block_diag(*covs)
         linear = self.noise_cov is not None and all(H is not None for H in Hs)
-        self.H: Floats | None = np.vstack(Hs) if linear else None
+        self.H = np.vstack(Hs) if linear else None
         self.angles = tuple(self._rows[name].start + a for name, s in self._parts.items() for a in s.angles)
         self.directly_observed = direct_states(self.H, self.noise_cov, self.angles)
         self.parameters, self.inputs = (shared(kind, self._parts) for kind in ("parameters", "inputs"))
@@ -212,10 +212,6 @@ class Sensors(Adjustable, Mapping[str, Any]):
     def reading(self, z: Any) -> Reading:
         """Return z, numbers (k,) or a mapping of sensors' names to theirs, as a `Reading`."""
         return Reading.of(self.vector(z), self.dim_z)
-
-    def observed(self, z: Any) -> Bools:
-        """Return which components of z were measured, bool (k,)."""
-        return self.reading(z).seen
 
     def check_dim(self, n: int) -> None:
         """Raise `ModelError` if a sensor cannot read states of length n."""

@@ -29,9 +29,7 @@ from ..model.dynamics import Dynamics
 from ..model.sde import SDE
 from . import automatic, chapman_kolmogorov, cloud, family, pieces
 from ._shared import Predicted
-from .again import MOST_WORK
-from .escape import escaped
-from .to_target import Time, carried_to_target
+from .again import MOST_WORK, Time, carried_to_target
 
 Found = TypeVar("Found")
 
@@ -40,7 +38,7 @@ Found = TypeVar("Found")
 #: tracking .13, .13, .6, 1.4 asked .1, and .4, .5, 2.3, 1.5 asked .03 (`experiments benchmark`).
 _AS_FAMILIES = {1: 2**9, 2: 2**9, 3: 2**9, 4: 2**8, 5: 2**12}  # and of more as of five
 #: As long as a lattice that makes the same error, by states: of one it pays sooner, and knows its tails; of
-#: three and more never. And as families of five and six, of thousands of nodes. (Of the same command.)
+#: three and more never. And as families of five and six, of thousands of nodes (`experiments benchmark`).
 _AS_LATTICES = {1: 2**11, 2: 2**13}
 #: Evaluations of the drift that a lattice may take for each point of a usual cloud: 15 to 45 ns each, beside
 #: .6 µs of a point, or 5 to 15 times as long, for what it knows of tails. With five times as many three of
@@ -97,7 +95,7 @@ def propagate(density: ParticleDensity, model: Dynamics, t1: float, target: floa
     needs = (density.needs or Memory()).gone_on()
     if density.gaussian and model.linear and model.domain.unbounded:
         return _closed_form(density, model, t1, needs)
-    if density.pieces is not None and model.linear and model.domain.unbounded:
+    if density.form.closed and model.linear and model.domain.unbounded:
         return _by_pieces(density, model, t1, target, needs)
     if density.form.own_points:
         return _by_cloud(density, model, t1, target, needs)
@@ -143,7 +141,7 @@ def _by_family(
         return (moved, info), math.sqrt(max(info.error**2 - density.error**2, 0.0))
 
     allowed = error_budget(density.error, target) * needs.shared
-    if escaped(density, model, t1) > math.sqrt(2.0) * allowed:
+    if family.escaped(density, model, t1) > math.sqrt(2.0) * allowed:
         return None
     best = best_family(density.dim, allowed, first_degree(density.dim, needs), carried)
     if best is None:

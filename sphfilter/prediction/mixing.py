@@ -22,11 +22,10 @@ from ..density.as_family import as_polynomials, family_density, gaussians_of, mo
 from ..density.defect import Defect, defect_of
 from ..density.family import HIGHEST, OF_MISFIT, fitted, moments_apart, node_moments
 from ..density.memory import Memory
-from ..density.merging import OF_CHANGE, merged
 from ..density.moments import moments_of_sum
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Use, age_of, stored_key
-from ..density.pieces import Pieces, light
+from ..density.pieces import OF_CHANGE, Pieces, light, merged
 from ..density.resample import folded_logarithm
 from ..errors import PropagationError
 from ..lattice.check import misfit, remote

@@ -8,9 +8,8 @@ import numpy as np
 from .._types import Floats
 from ..density.as_family import gaussians_of, moments_on_line, pieces_density
 from ..density.distributions import gaussian_log_pdf
-from ..density.merging import OF_CHANGE, merged
 from ..density.particle_density import ParticleDensity
-from ..density.pieces import Pieces, pieces_of
+from ..density.pieces import OF_CHANGE, Pieces, merged, pieces_of
 from ..info import PredictInfo
 from ..lattice.level_set import lattice_depth, lay, root_of
 from ..model.discretization import linear_transition

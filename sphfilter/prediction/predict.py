@@ -21,9 +21,8 @@ from ..model.timing import spans
 from ..validate import count, end_of
 from . import automatic, chapman_kolmogorov, cloud, family, ladder, log_density, paper
 from ._shared import Predicted
-from .again import Ladder, Outcome, or_as_cloud
+from .again import ALWAYS, Ladder, Outcome, Time, carried_to_target, or_as_cloud
 from .pieces import propagate_exactly
-from .to_target import ALWAYS, Time, carried_to_target
 
 
 def predict(

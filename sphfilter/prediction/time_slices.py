@@ -11,7 +11,8 @@ from ..model.compile import surfacing
 from ..model.derived import scales
 from ..model.sde import SDE
 
-#: Five of clouds, then odd ones without common factors, so that oscillations hide from none.
+#: Five of clouds, then primes, each some twice the one before. A sine of k periods hides from K middles, if
+#: K divides k: from two of the primes at once not before k = 17 · 37 = 629.
 _SLICES = (1, 2, 3, 5, 9, 17, 37, 79, 167, 347, 709)
 _FINE = _SLICES[-2]  # a pulse of a hundredth of the interval has 347 / 100 = 3.5 of its times
 _ERROR = 1e-3  # of an integral up to any time, by the middles of the steps

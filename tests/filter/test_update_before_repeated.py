@@ -11,7 +11,7 @@ from sphfilter.campaign.campaign import draw_case
 from sphfilter.errors import PropagationError, UnresolvedError
 from sphfilter.filter import sph_filter
 from sphfilter.info import PredictInfo
-from sphfilter.prediction.to_target import carried_to_target
+from sphfilter.prediction.again import carried_to_target
 
 SQUARE = load_scenario("duffing_square")
 CASE = draw_case(SQUARE, 1, 1)

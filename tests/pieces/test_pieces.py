@@ -7,10 +7,9 @@ from scipy.stats import multivariate_normal, norm
 
 import sphfilter as sf
 from sphfilter.density.as_family import pieces_density
-from sphfilter.density.merging import merged
-from sphfilter.density.pieces import Pieces, light, nodes, pieces_of
+from sphfilter.density.pieces import Pieces, light, merged, nodes, pieces_of
 from sphfilter.density.storage import from_bytes, to_bytes
-from sphfilter.filter.by_pieces import by_pieces
+from sphfilter.filter.by_ladder import by_pieces
 from sphfilter.filter.reading_at_prior import ReadingAtPrior
 from sphfilter.prediction.mixing import _few
 

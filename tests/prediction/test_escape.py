@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import sphfilter as sf
-from sphfilter.prediction.escape import escaped
+from sphfilter.prediction.family import escaped
 
 WELLS = sf.SDE.from_expressions(["x"], ["x - x**3"], [["s"]], parameters={"s": 0.25})
 

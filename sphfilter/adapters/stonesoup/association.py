@@ -21,7 +21,7 @@ from ...filter.update import update
 from ...filter.update_again import Update
 from ...info import Code, PredictInfo, UpdateInfo
 from ...lattice.level_set import enough_particles, lattice_reach
-from ...model.measurements import Sensor
+from ...model.measurements import PlainSensor, Sensor
 from ...prediction.again import Ladder, Outcome
 from .states import DensityState
 
@@ -48,13 +48,8 @@ class Part(NamedTuple):
     weight: float = 1.0
 
 
-class _Likelihood:
+class _Likelihood(PlainSensor):
     """A sensor with a likelihood only."""
-
-    H: None = None
-    directly_observed: None = None
-    noise_cov: None = None
-    angles: tuple[int, ...] = ()
 
     def observed(self, z: Any) -> Bools:
         """Something was."""

@@ -16,7 +16,7 @@ from ..._types import Bools, Floats
 from ...density.moments import cov_of_sum
 from ...errors import ModelError
 from ...filter.reading_at_prior import predicted_reading
-from ...model.measurements import GaussianMeasurement, GaussianSensor, Sensor, wrapped
+from ...model.measurements import GaussianMeasurement, GaussianSensor, PlainSensor, Sensor, wrapped
 from ...validate import covariance, short
 from .states import DensityState
 
@@ -25,15 +25,12 @@ from .states import DensityState
 _PROBED = 0.6 * np.pi, 1.3 * np.pi
 
 
-class ModelMeasurement:
+class ModelMeasurement(PlainSensor):
     """A Stone Soup measurement model as a sensor: its `function` and `covar`, and its own `logpdf`.
 
     It is asked about states of one timestamp. Models that are not Gaussian have no `noise_cov`; `angles` are
     components that are angles of the whole circle, whose differences are wrapped to (−π, π].
     """
-
-    H: None = None
-    directly_observed: None = None
 
     def __init__(self, model: MeasurementModel, timestamp: datetime.datetime | None) -> None:
         self._model, self._timestamp = model, timestamp
