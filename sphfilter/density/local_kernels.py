@@ -20,7 +20,7 @@ _WIDTH = 1.4
 #: Standard deviations, beyond which polynomials keep the values that they have there: 2 (1 - Φ(5)) = 6e-7 of
 #: a Gaussian of one state.
 _CLIP = 5.0
-_RIDGE = 1e-10  # of the mean diagonal of the normal matrix: rounding, 1e-16, over a hundred terms squared
+_RIDGE = 1e-10  # of the mean diagonal of the normal matrix: 10⁴ times what rounds off a hundred terms, 1e-14
 _BLOCK = 4096  # points at a time: of 35 terms, as four states have, 8 · 35 _BLOCK = 1.1 MB
 
 
