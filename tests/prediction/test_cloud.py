@@ -26,6 +26,16 @@ def normal(variance, n=60):
     return sf.initialize(sf.Gaussian([0.0], [[variance]]), n)
 
 
+def test_a_moment_between_two_readings_does_not_make_the_next_steps_as_short():
+    sensor, config = sf.GaussianMeasurement([[1.0, 0.0]], [[0.2]]), sf.FilterConfig(target_error=0.1)
+    flt, other = (sf.SPHFilter(WELLS, sensor, [1.0, 0.0], 0.3 * np.eye(2), config=config) for _ in range(2))
+    usual = other.predict(8.0).n_steps
+    for dt in (1.0, 1e-6):
+        flt.predict(dt)
+        flt.update(1.1)
+    assert flt.predict(8.0).n_steps < 20 * usual  # 8,000,000 that a millionth of a second each would be
+
+
 def distance(root, difference):
     return np.sqrt(np.mean((root @ difference) ** 2))
 

@@ -7,7 +7,7 @@ import math
 
 from numba.extending import register_jitable
 
-from ..limits import ALIKE, LOOK
+from ..limits import ALIKE, LOOK, TINY
 from ..step_control import MORE
 
 SHADOW = 8  # points of a cloud over those of its shadow, which costs an eighth of the time
@@ -179,8 +179,11 @@ def over_allowed(bias, allowed, n):
 
 @register_jitable
 def step_after(dt, number, over):
-    """Length of the next step after so many over a time, whose bias was so much of what is allowed."""
-    return dt / max(number * min(over / _AIMED, 1.0) ** (1.0 / STEPS_ORDER), 1.0)
+    """Length of the next step after so many over a time, whose bias was so much of what is allowed.
+
+    It may be longer than that time, which may have been a moment between two sensors.
+    """
+    return dt / max(number * min(over / _AIMED, 1.0) ** (1.0 / STEPS_ORDER), TINY)
 
 
 @register_jitable
