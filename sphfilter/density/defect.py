@@ -206,8 +206,9 @@ def steepness(moments: Moments, degree: int) -> float:
         a = [1.0, far]  # means of Hermite's polynomials of N(far, wide)
         for j in range(1, degree + 1):
             a.append(far * a[j] + j * (wide - 1.0) * a[j - 1])
+        root = math.sqrt(max(wide, 0.0))  # of almost no width rounding may leave less than none
         slopes = (
-            math.sqrt(wide * k / math.factorial(k - 1)) * abs(a[k - 1]) for k in (degree + 1, degree + 2)
+            root * math.sqrt(k / math.factorial(k - 1)) * abs(a[k - 1]) for k in (degree + 1, degree + 2)
         )
         most = max(most, *slopes)
     return most

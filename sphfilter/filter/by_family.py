@@ -64,6 +64,10 @@ def by_family(
         of_evidence = math.hypot(of_evidence, nats)
     new = family_density(density, found.family, capacity=n_particles, gaussian=False)
     moments, before = (moments_on_line(density), moments_on_line(new)), defect_in(density, prior, misfit)
+    if not np.linalg.eigvalsh(moments[1][1])[0] > 0.0:
+        raise PropagationError(
+            f"what a reading leaves is too narrow for the nodes of a family of degree {degree}"
+        )
     left = after_reading(prior, before, found.family, found.products, moments)
     told = read_out(found.family, left.defect, left.rest)
     unseen = math.hypot(found.apart, OF_UNSIGNED * missed)

@@ -5,6 +5,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from scipy.special import exprel
 
 from .._types import Floats, Ints
 from ..config import LogDensityScheme
@@ -180,7 +181,7 @@ def propagate(
         raise _given_up(kind(reason.format(**about)), (start, times[0], t1), counters)
     laid = LatticeDensity(x, mass, field, 0.0, float(state[VOLUME]), mean, cov, model.domain.walls)
     gaussian = density.gaussian and model.linear
-    kept = _kept(noise.G, t1 - start, cov)
+    kept = _kept(noise.G, t1 - start, density.cov(), cov)
     error, lost = _carried(density, kept, state)
     known = {"residual": 0.0 if gaussian else float(state[RESIDUAL]), "error": error, "lost": lost}
     known["rough"] = density.rough * kept**ROUGH
@@ -238,10 +239,27 @@ def _carried(density: ParticleDensity, kept: float, state: Floats) -> tuple[floa
     return math.hypot(kept * before, _PART * state[STEP_ERRORS] + lattices, _PART * lost), lost
 
 
-def _kept(G: Floats, dt: float, cov: Floats) -> float:
-    """Part of an error of the mean, in standard deviations, that is left after noise has widened it."""
-    widened = np.trace(np.linalg.solve(cov, G @ G.T * dt)) / len(cov)
-    return math.sqrt(max(0.0, 1.0 - widened))
+def _kept(G: Floats, dt: float, before: Floats, after: Floats) -> float:
+    """Part of an error of the mean, in standard deviations, that is left of it after a time.
+
+    In each direction it falls as in the Ornstein-Uhlenbeck process that takes the covariance before to that
+    after: λ = exp(-u) + q (1 - exp(-u)) / u, λ the variance after and q that of the noise as parts of the one
+    before, leaves exp(-u) / λ of its square. Where a drift contracts, noise may have brought more variance
+    than there is.
+    """
+    from scipy.optimize import brentq  # on use: import time
+
+    root = np.linalg.cholesky(before)
+    grown, axes = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, after).T))
+    noise = np.square(axes.T @ np.linalg.solve(root, G)).sum(axis=1) * dt
+    left = 0.0
+    for wide, q in zip(grown.tolist(), noise.tolist(), strict=True):
+        u = -math.log(wide)
+        if q > 0.0:
+            high = max(math.log(2.0 / wide), 2.0 * q / wide)  # each of both terms is half of λ at most
+            u = brentq(lambda u, λ=wide, q=q: math.exp(-u) + q * exprel(-u) - λ, u, high)
+        left += math.exp(-u) / wide
+    return math.sqrt(min(left / len(grown), 1.0))
 
 
 def load(model: SDE) -> None:

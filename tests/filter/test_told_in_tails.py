@@ -43,6 +43,27 @@ def test_a_lattice_that_follows_a_family_tells_what_that_got_wrong_of_a_tail(z):
         assert error / 3.0 < told < 3.0 * error
 
 
+@pytest.mark.parametrize("dt", [0.1, 1.0, 3.0])
+def test_a_lattice_forgets_an_error_as_its_drift_does(dt):
+    """An Ornstein-Uhlenbeck process leaves exp(-a t) of a shift; none was left from t = 1 / 2a on."""
+    a, Q, P = 0.8, 0.3, 0.5
+    config = sf.SolverConfig(scheme="log_density", exact_linear=False)
+    prior = sf.initialize(sf.Gaussian([1.0], [[P]]), 60, config=config).noted(error=1.0)
+    model = sf.LinearSDE([[-a]], noise=[[1.0]], spectral_density=[[Q]])
+    decay = np.exp(-2.0 * a * dt)
+    left = np.sqrt(P * decay / (P * decay + Q * (1.0 - decay) / (2.0 * a)))
+    assert sf.predict(prior, model, dt, config)[1].error == pytest.approx(left, rel=0.01)
+
+
+def test_a_family_too_narrow_for_its_nodes_is_left_for_points():
+    model = sf.SDE.from_expressions(
+        ["x", "y"], ["0.15 - 0.3*x", "0.1*x**2 - 0.2*y"], [["0.4", "0"], ["0", "0.4"]]
+    )
+    sensor = sf.GaussianMeasurement.from_expressions(["x", "y"], ["y/x"], [[1.0]])
+    flt = sf.SPHFilter(model, sensor, [0.6, 0.5], 0.2 * np.eye(2))
+    assert flt.predict(1.0).rung == "family" and flt.update(2.68796750077932).rung == "cloud"
+
+
 def test_an_error_that_says_nothing_is_said_to_be_none():
     assert may_be_off(0.1) == "the mean may be off by 0.3 standard deviations"
     assert may_be_off(1e27) == may_be_off(np.nan) == "how far the mean is off is not known"
