@@ -8,9 +8,10 @@ from .._types import Bools, Floats, Ints
 from ..core._addresses import NOWHERE_AT
 from ..core._views import as_compiled
 from ..core.cloud.blocks import products
-from ..core.cloud.guide import Ahead, Moved, joined, linear_reading, log_normals, without_noise
+from ..core.cloud.guide import Ahead, Moved, joined, linear_reading, log_normals, near_of, without_noise
 from ..core.cloud.linearise import lower_and_rows
 from ..core.cloud.reader import Reader
+from ..core.cloud.steps import NO_LEG
 from ..core.cloud.weights import finite_rows
 from ..core.limits import DIFFERENCE
 from ..density.moments import columns
@@ -221,7 +222,8 @@ def seen(sensor: Stacked, passages: Any, walked: Walked, h: Floats, misses: floa
         lower, rows = lower_and_rows(lower)
         whole = products(rows, np.concatenate(u), walked.block)
     moved = Moved(columns(walked.x), columns(walked.y), whole, walked.w, walked.block, flow, lower)
-    y = without_noise(moved)
+    near = max(near_of(NO_LEG if p.leg is None else p.leg, p.leg is None) for p in passages)
+    y = without_noise(moved, near)
     r = columns(sensor.residual(sensor.predict(y.T)))
     H, R = map(as_compiled, (sensor.jacobian(end), sensor.covariance(end)))
     about = linear_reading(moved, columns(h), H, R, sensor.angle, misses)

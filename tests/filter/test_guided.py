@@ -15,7 +15,7 @@ from sphfilter.density.moments import columns, moments
 from sphfilter.density.passage import moved_points, points_of_gaussian, stored_key
 from sphfilter.density.points import NO_LINES, Carried
 from sphfilter.filter.bridged import bridged
-from sphfilter.filter.guided import piece_by_piece, weighed
+from sphfilter.filter.guided import _at_once, piece_by_piece, weighed
 from sphfilter.filter.reading_at_prior import ReadingAtPrior
 from sphfilter.filter.stacked import Stacked
 from sphfilter.model.discretization import linear_transition
@@ -132,6 +132,26 @@ def test_tails_that_a_guide_thinks_little_of_have_points():
         ratios.append(moments(led.x, led.w)[1][1, 1] / 0.6439)
     assert abs(np.mean(ratios) - 1.0) < 0.025  # by guides alone .95
     assert led.log_evidence == pytest.approx(bridged(*about).log_evidence, abs=1e-9)
+
+
+def test_noise_that_depends_on_the_state_tells_a_guide_nothing_of_a_points_own():
+    """A linear model seen through y + 1.5 x²: points that are led over short legs have its posterior."""
+    along = "-0.2*x - 0.07*(y + 1.5*x**2)"
+    drift = [along, f"0.32*x - 0.2*(y + 1.5*x**2) - 3*x*({along}) - 0.0956"]
+    noise = [["-0.21", "0.14"], ["0.52 + 0.63*x", "0.38 - 0.42*x"]]
+    model = sf.SDE.from_expressions(["x", "y"], drift, noise)
+    sensor = sf.GaussianMeasurement(lambda x: (x[1] + 1.5 * x[0] ** 2 + x[0],), [[0.01]])
+    first, second = (Stacked.of((asked(sensor, [z], t),), None) for z, t in ((0.65, 1.0), (0.33, 3.0)))
+    ratios = []
+    for key in range(6):
+        points = points_of_gaussian(np.full(2, 0.3), 0.2 * np.eye(2), 8 * N, key)
+        points = moved_points(points, model, 0.0, 1.0, Steps(6), 8 * N, 100 + key)
+        points = moved_points(
+            weighed(points, first, 200 + key)[1], model, 1.0, 3.0, Steps(8), 8 * N, 300 + key
+        )
+        once, led = _at_once(points, second, 400 + key), piece_by_piece(points, second, 400 + key, 0.0)
+        ratios.append(moments(once.x, once.w)[1][1, 1] / moments(led.x, led.w)[1][1, 1])
+    assert abs(np.mean(ratios) - 1.0) < 0.02
 
 
 def test_starts_that_end_before_a_reading_are_told():

@@ -15,7 +15,7 @@ from ..elementary import FAST
 from ..limits import LARGEST_EXPONENT, TINY
 from .blocks import blocks_of, centres, multiplied
 from .curve import along_curve
-from .guide import Moved, look_ahead, of_first, over_both
+from .guide import Moved, look_ahead, near_of, of_first, over_both
 from .linearise import linearised
 from .move import over
 from .noise import even_normals, mixed, stored, uniform
@@ -47,7 +47,8 @@ def bridge(given, nets, key, least, curve):
     flow, lower, rows, whole = as_one(kernel, moved, u, v, block)
     way = Moved(x, y, whole, np.full(N, 1.0 / N), block, flow, lower), moved.end, rows, u
     own = mixed(key, np.uint64(0))
-    found, log_l = _led(reader, way, share, nets[0], own)
+    near = near_of(leg, linear)
+    found, log_l = _led(reader, way, share, nets[0], own, near)
     if found[0].size == 0 or effective(1.0 * np.bincount(found[0])) < least:
         return none
     ancestor, new, log_ratio = some_free(found, log_l, share, u, own)
@@ -61,7 +62,7 @@ def bridge(given, nets, key, least, curve):
         first, rest = _halved(leg, linear)
         last, total = rest.steps == 0, normalise(log_w, share)
         part, way = _anew(first, rest, linear, moved, x, nets, own)
-        found, log_l = _led(reader, way, share, nets[0], own)
+        found, log_l = _led(reader, way, share, nets[0], own, near)
         ancestor, new, log_ratio = found
         if ancestor.size == 0:
             break
@@ -157,7 +158,7 @@ def _linearised(leg, linear, moved, start):
 
 
 @jit
-def _led(reader, way, share, net, key):
+def _led(reader, way, share, net, key, near):
     """What `look_ahead` finds over the first part of a way; and log-likelihoods (N,) at the end of all of it.
 
     The way: points that have `Moved` along it, of shares (N,); ends of its blocks; rows of what moves points
@@ -165,7 +166,7 @@ def _led(reader, way, share, net, key):
     """
     moved, end, rows, u = way
     h = read(reader, moved.y)
-    seen = as_seen(reader, moved, h, end, MISSED)
+    seen = as_seen(reader, moved, h, end, MISSED, near)
     found = look_ahead(of_first(seen, rows), u, share, moved.block, net, key)
     return found, likelihoods(reader, moved.y, h)[0]
 

@@ -125,12 +125,13 @@ def as_one(part, later, u, v, block):
 
 
 @jit
-def as_seen(reader, moved, h, end, misses):
+def as_seen(reader, moved, h, end, misses, near):
     """Points that have `Moved` as a sensor sees them, of readings h (k, N) and ends (blocks, n) of blocks.
 
-    A guide takes `misses` times what linearity misses. Returns what they are `Ahead`.
+    A guide takes `misses` times what linearity misses; as many neighbours as `near` to either side tell where
+    a point would come without noise. Returns what they are `Ahead`.
     """
-    y, k = without_noise(moved), reader.z.size
+    y, k = without_noise(moved, near), reader.z.size
     r = residuals(reader.z, read(reader, y), reader.angle)
     H, R = _slopes(reader, end), reader.R.copy().reshape((1, k, k))
     return Ahead(r, y, moved.lower, *linear_reading(moved, h, H, R, reader.angle, misses))

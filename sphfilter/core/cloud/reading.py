@@ -9,7 +9,7 @@ import numpy as np
 from .._jit import jit
 from ..limits import ALIKE
 from .blocks import steered
-from .guide import NEAR, WIDER, Moved, look_ahead, over_both, wrapped
+from .guide import NEAR, WIDER, Moved, look_ahead, near_of, over_both, wrapped
 from .noise import even_normals, mixed, stored
 from .reader import GUIDE, PARTS, as_one, as_seen, gone, likelihoods, read
 from .way import AGAIN
@@ -62,7 +62,8 @@ def weigh(way, nets, key):
     if wrong or not abs(normalise(log_w, first)) < np.inf or effective(first) >= ALIKE * effective(w):
         return y, log_w, alone, wrong
     flow, lower, rows, whole = as_one(kernel, moved, u, v, block)
-    ahead = as_seen(reader, Moved(x, y, whole, w, block, flow, lower), h, moved.end, OWN)
+    gone_so = Moved(x, y, whole, w, block, flow, lower)
+    ahead = as_seen(reader, gone_so, h, moved.end, OWN, near_of(leg, linear))
     ancestor, new, log_ratio = look_ahead(ahead, whole, w, block, nets[0], own)
     if ancestor.size == 0:
         return y, log_w, alone, wrong
