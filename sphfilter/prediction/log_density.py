@@ -5,7 +5,6 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy.special import exprel
 
 from .._types import Floats, Ints
 from ..config import LogDensityScheme
@@ -39,7 +38,7 @@ from ..core.characteristics.step_choice import CHOOSE
 from ..core.field.field import Field
 from ..core.field.fitting import BUILD
 from ..core.field.stencils import stencils
-from ..core.limits import TINY
+from ..core.limits import ROUNDING, TINY
 from ..density.defect import ROUGH
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
@@ -247,19 +246,23 @@ def _kept(G: Floats, dt: float, before: Floats, after: Floats) -> float:
     before, leaves exp(-u) / λ of its square. Where a drift contracts, noise may have brought more variance
     than there is.
     """
-    from scipy.optimize import brentq  # on use: import time
-
     root = np.linalg.cholesky(before)
     grown, axes = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, after).T))
     noise = np.square(axes.T @ np.linalg.solve(root, G)).sum(axis=1) * dt
-    left = 0.0
-    for wide, q in zip(grown.tolist(), noise.tolist(), strict=True):
-        u = -math.log(wide)
-        if q > 0.0:
-            high = max(math.log(2.0 / wide), 2.0 * q / wide)  # each of both terms is half of λ at most
-            u = brentq(lambda u, λ=wide, q=q: math.exp(-u) + q * exprel(-u) - λ, u, high)
-        left += math.exp(-u) / wide
-    return math.sqrt(min(left / len(grown), 1.0))
+    left = [_left(max(wide, ROUNDING), q) for wide, q in zip(grown.tolist(), noise.tolist(), strict=True)]
+    return math.sqrt(min(sum(left) / len(left), 1.0))
+
+
+def _left(wide: float, q: float) -> float:
+    """exp(-u) / λ of `_kept`, for λ = wide, by halving; both terms are half of λ at most where it begins."""
+    low, high = -math.log(wide), max(math.log(2.0 / wide), 2.0 * q / wide)
+    for _ in range(60):
+        u = 0.5 * (low + high)
+        if math.exp(-u) - q * (math.expm1(-u) / u if u else -1.0) > wide:
+            low = u
+        else:
+            high = u
+    return math.exp(-low) / wide
 
 
 def load(model: SDE) -> None:
