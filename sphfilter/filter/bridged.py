@@ -45,15 +45,13 @@ def bridged(points: Points, sensor: Stacked, key: int, least: float) -> Carried 
         w = np.empty(len(x))
         total = normalise(log_w, w)
         walked = Walked(x, y, u, np.full(len(x), 1.0 / len(x)), block)
-        ancestor, v, log_ratio = _led(walked, passages, w, sensor, count, own)
+        ancestor, new, log_ratio = _led(walked, passages, w, sensor, count, own)
         if not len(ancestor) or (stage == 0 and effective(1.0 * np.bincount(ancestor)) < least):
             return None
         if len(passages) > 1:
-            found = ancestor, columns(v), log_ratio
-            log_l = sensor.log_likelihood(y)
-            ancestor, new, log_ratio = some_free(found, log_l, w, columns(u[0]), np.uint64(own))
-            v = new.T
-        z = gone(passages[0], x[ancestor], v, block[ancestor], True)
+            about = sensor.log_likelihood(y), w, columns(u[0]), np.uint64(own)
+            ancestor, new, log_ratio = some_free((ancestor, new, log_ratio), *about)
+        z = gone(passages[0], x[ancestor], new.T, block[ancestor], True)
         if len(passages) == 1:
             ends = np.concatenate([y, z])
             log_w = total + over_both(sensor.log_likelihood(ends), log_ratio, w)
@@ -79,7 +77,7 @@ def _anew(passages: Any, x: Floats, block: Any, key: Any) -> tuple[Any, Any, Flo
 def _led(
     walked: Walked, passages: Any, w: Floats, sensor: Stacked, count: int, key: Any
 ) -> tuple[Ints, Floats, Floats]:
-    """Ancestors (count,), what leads them over the first of the passages (count, n), and what that is worth.
+    """Ancestors (count,), what leads them over the first of the passages (n, count), and what that is worth.
 
     The last are logarithms of the guide's density over the prior's, of the points that have `Walked`, of
     shares w (N,), and of the new ones.
@@ -87,8 +85,7 @@ def _led(
     n = walked.x.shape[1]
     rows, _, ahead = seen(sensor, passages, walked, sensor.predict(walked.y), MISSED)
     about = of_first(ahead, rows), columns(walked.u[0]), w, walked.block
-    ancestor, new, log_ratio = look_ahead(*about, net(count, n, NetPart.LED).T, np.uint64(key))
-    return ancestor, new.T, log_ratio
+    return look_ahead(*about, net(count, n, NetPart.LED).T, np.uint64(key))
 
 
 def _halved(passages: Any, x: Floats, key: Any) -> tuple[Passage, ...]:

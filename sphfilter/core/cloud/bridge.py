@@ -46,9 +46,8 @@ def bridge(given, nets, key, least, curve):
     total = normalise(np.log(np.maximum(w, TINY)), share)
     flow, lower, rows, whole = as_one(kernel, moved, u, v, block)
     way = Moved(x, y, whole, np.full(N, 1.0 / N), block, flow, lower), moved.end, rows, u
-    own = mixed(key, np.uint64(0))
-    near = near_of(leg, linear)
-    found, log_l = _led(reader, way, share, nets[0], own, near)
+    own, near = mixed(key, np.uint64(0)), near_of(leg.kind)
+    found, log_l, _ = _led(reader, way, share, nets[0], own, near)
     if found[0].size == 0 or effective(1.0 * np.bincount(found[0])) < least:
         return none
     ancestor, new, log_ratio = some_free(found, log_l, share, u, own)
@@ -62,7 +61,7 @@ def bridge(given, nets, key, least, curve):
         first, rest = _halved(leg, linear)
         last, total = rest.steps == 0, normalise(log_w, share)
         part, way = _anew(first, rest, linear, moved, x, nets, own)
-        found, log_l = _led(reader, way, share, nets[0], own, near)
+        found, log_l, wrong = _led(reader, way, share, nets[0], own, near)
         ancestor, new, log_ratio = found
         if ancestor.size == 0:
             break
@@ -72,8 +71,9 @@ def bridge(given, nets, key, least, curve):
         z = gone(first, linear, taken(x, ancestor), new, way[0].block[ancestor], part, again)
         if last:
             ends, lineage = beside(way[0].y, z), np.concatenate((lineage, lineage[ancestor]))
-            log_l, wrong = likelihoods(reader, ends, read(reader, ends))
-            return ends, total + over_both(log_l, log_ratio, share), lineage, wrong
+            of_z, wrong_z = likelihoods(reader, z, read(reader, z))
+            both = over_both(np.concatenate((log_l, of_z)), log_ratio, share)
+            return ends, total + both, lineage, wrong + wrong_z
         log_w, lineage, leg = total - log_ratio - math.log(count), lineage[ancestor], rest
     return none
 
@@ -159,7 +159,7 @@ def _linearised(leg, linear, moved, start):
 
 @jit
 def _led(reader, way, share, net, key, near):
-    """What `look_ahead` finds over the first part of a way; and log-likelihoods (N,) at the end of all of it.
+    """What `look_ahead` finds over the first part of a way; and the `likelihoods` at the end of all of it.
 
     The way: points that have `Moved` along it, of shares (N,); ends of its blocks; rows of what moves points
     in all of its parts, none where there is but one; and what moves them in the first, (n, N).
@@ -168,7 +168,8 @@ def _led(reader, way, share, net, key, near):
     h = read(reader, moved.y)
     seen = as_seen(reader, moved, h, end, MISSED, near)
     found = look_ahead(of_first(seen, rows), u, share, moved.block, net, key)
-    return found, likelihoods(reader, moved.y, h)[0]
+    log_l, wrong = likelihoods(reader, moved.y, h)
+    return found, log_l, wrong
 
 
 _CURVE = types.Tuple([types.uint32[::1], types.int64])

@@ -8,6 +8,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba.extending import register_jitable
 
 from .._jit import jit
 from ..elementary import FAST
@@ -48,10 +49,10 @@ class Ahead(NamedTuple):
     R: np.ndarray  # noise that a guide takes, with what linearity misses, (blocks, k, k)
 
 
-@jit
-def near_of(leg, linear):
-    """How many neighbours to either side tell what the flow of a leg is without noise."""
-    return NEAR if linear or leg.kind != OF_STATE else NEAR_OF_STATE
+@register_jitable
+def near_of(kind):
+    """How many neighbours to either side tell what a flow beside noise of this kind is without it."""
+    return NEAR_OF_STATE if kind == OF_STATE else NEAR
 
 
 @jit

@@ -62,8 +62,8 @@ def weigh(way, nets, key):
     if wrong or not abs(normalise(log_w, first)) < np.inf or effective(first) >= ALIKE * effective(w):
         return y, log_w, alone, wrong
     flow, lower, rows, whole = as_one(kernel, moved, u, v, block)
-    gone_so = Moved(x, y, whole, w, block, flow, lower)
-    ahead = as_seen(reader, gone_so, h, moved.end, OWN, near_of(leg, linear))
+    points = Moved(x, y, whole, w, block, flow, lower)
+    ahead = as_seen(reader, points, h, moved.end, OWN, near_of(leg.kind))
     ancestor, new, log_ratio = look_ahead(ahead, whole, w, block, nets[0], own)
     if ancestor.size == 0:
         return y, log_w, alone, wrong
