@@ -7,7 +7,7 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.cloud import lineages
-from ..core.cloud.control import decisive, error_by, expected_square, smoothed, square_of_more
+from ..core.cloud.control import decisive, error_by, expected_square, remembered, smoothed, square_of_more
 from ..core.cloud.pace import Bias
 from ..core.cloud.steps import Leg
 from .moments import columns
@@ -79,8 +79,8 @@ class Told(NamedTuple):
 
     def after(self, mean: float, variance: float, log_evidence: float = math.nan) -> "Told":
         """With the squares of one more reading; those before count as long as a few readings."""
-        pairs = zip(self, (mean, variance, log_evidence), strict=True)
-        return Told(*[smoothed(old, new) for old, new in pairs])
+        pairs, part = zip(self, (mean, variance, log_evidence), strict=True), remembered(self.mean, mean)
+        return Told(*[smoothed(old, new, part) for old, new in pairs])
 
     def or_expected(self, number: float, n: int) -> "Told":
         """These; before any, what a shadow of so many independent points of n states usually shows."""
@@ -150,10 +150,10 @@ class Carried(lineages.Carried):
     """
 
     @classmethod
-    def of(cls, x: Floats, log_w: Floats, ancestor: Ints, older: Ints = NO_LINES) -> "Carried":
+    def of(cls, x: Floats, log_w: Floats, ancestor: Ints, mass: Floats, older: Ints = NO_LINES) -> "Carried":
         """States with log-weights (N,) whose sum is the evidence, and each one's ancestor (N,) in the prior.
 
-        The prior's points may have lineages (readings, M).
+        The prior's points have weights (M,), and may have lineages (readings, M).
         """
-        x, *rest = lineages.carriers(columns(x), log_w, ancestor, older)
+        x, *rest = lineages.carriers(columns(x), log_w, ancestor, mass.copy(), older)
         return cls(x.T, *rest)

@@ -55,7 +55,7 @@ def bridged(points: Points, sensor: Stacked, key: int, least: float) -> Carried 
         if len(passages) == 1:
             ends = np.concatenate([y, z])
             log_w = total + over_both(sensor.log_likelihood(ends), log_ratio, w)
-            return Carried.of(ends, log_w, np.append(lineage, lineage[ancestor]), points.older)
+            return Carried.of(ends, log_w, np.append(lineage, lineage[ancestor]), points.w, points.older)
         log_w, lineage = total - log_ratio - math.log(count), lineage[ancestor]
         kept = np.asarray(np.isfinite(z).all(axis=1))
         if not kept.any():

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme, FilterConfig
-from ..core.cloud.control import errors_told, evidence_error, wrong_beside
+from ..core.cloud.control import errors_told, evidence_error, hidden_from, wrong_beside
 from ..core.cloud.pace import Steps
 from ..core.limits import LITTLE
 from ..density.as_cloud import cloud_of
@@ -51,9 +51,9 @@ def by_cloud(
     found = found.inheriting(state, moments_on_line(density))
     error, doubt, code = found.error, 2.0 * found.of_variance, Code.CLOUD
     known = {"capacity": n_particles, "error": error, "rough": 0.0}  # of which `inherited` knows
-    new = cloud_of(density, found.state, found.moments, **known)
-    status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard deviations"
     target = config.target_error
+    new = cloud_of(density, found.left(flagged_from(target)), found.moments, **known)
+    status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard deviations"
     if doubt > wrong_beside(flagged_from(target)) and error < doubtful_from(target):  # else said of the mean
         status, code = f"{status}, but the variance may be off by {doubt:.0%}", code | Code.UNRESOLVED
     said = info_fields(asked, "cloud", found.log_evidence, error, found.evidence_error)
@@ -69,6 +69,7 @@ class CloudReading(NamedTuple):
     log_evidence: float
     evidence_error: float
     own: float  # error of the mean that is its own
+    hidden: float  # part of that, which its shadow has too
     of_variance: float  # error of the variances that is
 
     @property
@@ -80,6 +81,11 @@ class CloudReading(NamedTuple):
     def variance_error(self) -> float:
         """Error of the variances as a part of each, where it is most."""
         return math.hypot(self.of_variance, math.sqrt(2.0) * self.state.inherited)
+
+    def left(self, flagged: float) -> CloudState:
+        """What goes on, with the part of an error that is flagged which no later shadow will show."""
+        hidden = self.hidden if self.own > flagged else 0.0
+        return self.state._replace(inherited=math.hypot(self.state.inherited, hidden))
 
     def inheriting(self, before: CloudState, prior: tuple[Floats, Floats]) -> "CloudReading":
         """With what the reading leaves of an error that there was before there were points.
@@ -111,11 +117,12 @@ def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading |
         shadow = _part_of(points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
     numbers = found.effective, found.of_variance, found.outermost, state.size
-    errors = errors_told(told.mean, told.variance, *numbers, state.pace.bias)
+    error, wider = errors_told(told.mean, told.variance, *numbers, state.pace.bias)
+    hidden = hidden_from(told.mean, error, state.pace.bias.mean)
     pace = Pace(state.pace.step, state.pace.stiff)
     state = state._replace(points=points, shadow=shadow, told=told, pace=pace)
-    unsure = evidence_error(told.log_evidence, found.lineages, state.size, len(found.mean))
-    return CloudReading(state, moments, found.log_evidence, unsure, *errors)
+    unsure = evidence_error(told.log_evidence, found.lineages, found.unseen, state.size, len(found.mean))
+    return CloudReading(state, moments, found.log_evidence, unsure, error, hidden, wider)
 
 
 def error_added(

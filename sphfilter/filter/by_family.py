@@ -8,7 +8,7 @@ import numpy as np
 from .._types import Floats, OfStates
 from ..core.family.frame import moved, root_between
 from ..core.kalman import conditioned
-from ..core.limits import ALIKE, LARGEST_EXPONENT, LOOK, TINY
+from ..core.limits import ALIKE, LARGEST_EXPONENT, LOOK, ROUNDING, TINY
 from ..density.as_family import defect_in, family_density, family_of, moments_on_line
 from ..density.defect import OF_UNSIGNED, after_reading, read_out
 from ..density.family import (
@@ -64,7 +64,8 @@ def by_family(
         of_evidence = math.hypot(of_evidence, nats)
     new = family_density(density, found.family, capacity=n_particles, gaussian=False)
     moments, before = (moments_on_line(density), moments_on_line(new)), defect_in(density, prior, misfit)
-    if not np.linalg.eigvalsh(moments[1][1])[0] > 0.0:
+    spread = np.sqrt(np.maximum(np.abs(moments[1][1].diagonal()), TINY))
+    if not np.linalg.eigvalsh(moments[1][1] / np.outer(spread, spread))[0] > ROUNDING**2:
         raise PropagationError(
             f"what a reading leaves is too narrow for the nodes of a family of degree {degree}"
         )

@@ -76,7 +76,7 @@ def _at_once(points: Points, sensor: Stacked, key: int) -> Carried | None:
         return None
     with surfacing():
         x, log_w, ancestor, wrong = weigh(way, nets_of(*points.x.shape), key)
-    return None if wrong else Carried.of(x.T, log_w, ancestor, points.older)
+    return None if wrong else Carried.of(x.T, log_w, ancestor, points.w, points.older)
 
 
 def piece_by_piece(points: Points, sensor: Stacked, key: int, least: float) -> Carried | None:
@@ -89,7 +89,7 @@ def piece_by_piece(points: Points, sensor: Stacked, key: int, least: float) -> C
         x, log_w, ancestor, wrong = bridge(way, *about)
     if wrong:
         return bridged(points, sensor, key, least)
-    return Carried.of(x.T, log_w, ancestor, points.older) if len(log_w) else None
+    return Carried.of(x.T, log_w, ancestor, points.w, points.older) if len(log_w) else None
 
 
 def _way(points: Points, sensor: Stacked) -> tuple[Any, ...] | None:
@@ -107,7 +107,9 @@ def _in_turn(points: Points, sensor: Stacked, key: int) -> tuple[Carried, Stacke
     """The posterior of the first pass, or of both where that is uneven; and the sensor with its guide."""
     h = None if sensor.hidden else sensor.predict(points.x)
     log_l = sensor.log_likelihood(points.x, h)
-    best = Carried.of(points.x, prior_times(points.w, log_l), np.arange(len(points.w)), points.older)
+    best = Carried.of(
+        points.x, prior_times(points.w, log_l), np.arange(len(points.w)), points.w, points.older
+    )
     if points.path is None or best.lineages >= ALIKE * effective(points.w):
         return best, sensor
     if sensor.hidden:
@@ -165,7 +167,7 @@ def _twice(points: Points, log_l: Floats, h: Floats, sensor: Stacked, key: int) 
         y = gone(passage, y, v, block, True)
     log_l = np.concatenate([log_l, sensor.log_likelihood(y)])
     log_w, own = over_both(log_l, log_ratio, w), np.concatenate([np.arange(count), ancestor])
-    return Carried.of(np.concatenate([x, y]), log_w, own, points.older)
+    return Carried.of(np.concatenate([x, y]), log_w, own, w, points.older)
 
 
 def _led(rows: Floats, block: Ints, u: Floats, parts: int, key: Any) -> list[Floats]:

@@ -85,6 +85,7 @@ def tempered(points: Points, log_likelihood: OfStates, key: int) -> Carried | No
     assert path is not None
     ways, log_w, passes = _drawn(points, log_likelihood, key)
     log_evidence, b, steps, older = 0.0, 0.0, _Steps(), np.tile(points.older, passes)
+    mass = np.tile(points.w, passes)
     if ways is None:
         return None
     while b < 1.0:
@@ -99,10 +100,10 @@ def tempered(points: Points, log_likelihood: OfStates, key: int) -> Carried | No
                     ways, path.passages, log_likelihood, b, steps, sub_key(key, 1000 + passes)
                 )
                 passes += 1
-            found = Carried.of(ways.end, log_w + log_evidence, ways.lineage)
+            found = Carried.of(ways.end, log_w + log_evidence, ways.lineage, mass)
             if b < 1.0 or found.effective >= LOOK or passes + _MOVES > _PASSES:
                 break
-    return Carried.of(ways.end, log_w + log_evidence, ways.lineage, older)
+    return Carried.of(ways.end, log_w + log_evidence, ways.lineage, mass, older)
 
 
 def _risen(log_w: Floats, log_l: Floats, rise: float) -> Floats:

@@ -68,22 +68,19 @@ def propagate(
     moved = carried_cloud(state, model, span, scheme, target, density.domain)
     capacity = density.capacity if n_particles is None else n_particles
     new = cloud_of(density, moved.state, moved.moments, t=float(t1), capacity=capacity, error=moved.error)
-    error = max(moved.error, _of_before(density.error, state.points.x, moved))
+    before = 0.0 if moved.state.points.path is None else density.error
+    if before > moved.error:  # a cloud and its shadow know nothing of what readings have left to both
+        before *= _kept(state.points.x, moved.state.points, moved.moments[1])
+    error = max(moved.error, before)
     wider = max(moved.variance_error, math.sqrt(2.0) * error)
     return new, info_of(model, scheme.n_points, moved.steps, moved.lost, error, wider)
 
 
-def _of_before(error: float, x: Floats, moved: "Carried") -> float:
-    """What a prediction leaves of an error that a cloud of states x (N, n) had, in standard deviations.
-
-    A cloud and its shadow know what each of them misses, and not what the readings have left to both.
-    """
-    points = moved.state.points
-    if points.path is None or not error > moved.error:
-        return 0.0
-    if len(points.path.passages) == 2:  # what has parted copies, and this prediction
+def _kept(x: Floats, points: Points, cov: Floats) -> float:
+    """Part of an error of a cloud of states x (N, n) that a prediction leaves, in standard deviations."""
+    if points.path is not None and len(points.path.passages) == 2:  # what parts copies, and this prediction
         x = points.path.x
-    return error * kept(x, points.x, points.w, moved.moments[1]) if len(x) == len(points.x) else error
+    return kept(x, points.x, points.w, cov) if len(x) == len(points.x) else 1.0
 
 
 class Carried(NamedTuple):
@@ -125,11 +122,20 @@ def carried_cloud(
     told = state.told.of(count / state.size)
     off = squared_differences(ends[0], ends[1], domain, sums)
     seen = told.after(*off).errors
-    error = math.hypot(seen.mean, pace.bias.mean, state.inherited)
+    inherited = state.inherited
+    if inherited > 0.0 and state.origin is None:
+        inherited *= _kept(state.points.x, ends[0], sums[0][1])
+    error = math.hypot(seen.mean, pace.bias.mean, inherited)
     beyond = outermost(columns(ends[0].x), ends[0].w, *sums[0])
     wider = math.hypot(max(math.sqrt(2.0) * error, seen.variance, beyond), pace.bias.variance)
     state = state._replace(
-        points=ends[0], shadow=ends[1], size=count, told=told, pace=pace, age=state.age + 1
+        points=ends[0],
+        shadow=ends[1],
+        size=count,
+        told=told,
+        pace=pace,
+        age=state.age + 1,
+        inherited=inherited,
     )
     return Carried(state, sums[0], error, wider, lost, steps.number)
 

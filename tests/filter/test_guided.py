@@ -320,17 +320,22 @@ def test_a_key_gives_the_same_bits(sharp):
     assert a.log_evidence == b.log_evidence
 
 
+def alike(count):
+    """Weights of points that are as heavy as each other."""
+    return np.full(count, 1.0 / count)
+
+
 def test_copies_carry_no_more_than_what_they_are_copies_of():
     x = np.random.default_rng(0).standard_normal((2, 400))
     log_w = np.log(np.full(400, 1.0 / 400.0))
-    mean, evidence = carriers(x, log_w, np.arange(400), NO_LINES)[-2:]
+    mean, evidence = carriers(x, log_w, np.arange(400), alike(400), NO_LINES)[-2:]
     assert evidence == pytest.approx(400.0)
     assert mean == pytest.approx(400.0, rel=0.02)
     copied = np.repeat(x[:, :20], 20, axis=1)
-    mean, evidence = carriers(copied, log_w, np.repeat(np.arange(20), 20), NO_LINES)[-2:]
+    mean, evidence = carriers(copied, log_w, np.repeat(np.arange(20), 20), alike(20), NO_LINES)[-2:]
     assert evidence == pytest.approx(20.0)
     assert mean == pytest.approx(20.0, rel=0.1)
-    mean, evidence = carriers(x, log_w, np.zeros(400, np.int64), NO_LINES)[-2:]
+    mean, evidence = carriers(x, log_w, np.zeros(400, np.int64), alike(400), NO_LINES)[-2:]
     assert (mean, evidence) == (pytest.approx(1.0), pytest.approx(1.0))
 
 
@@ -369,7 +374,7 @@ def test_copies_know_a_variance_no_better_than_what_they_are_copies_of():
     x, each = np.random.default_rng(0).standard_normal((2, 20_000)), np.arange(20_000)
     x[:, :200], together = 10.0, np.maximum(each - 199, 0)
     for ancestor, older in ((together, NO_LINES), (each, together[None])):
-        alone, told, *_ = carriers(x, np.log(np.full(20_000, 5e-5)), ancestor, older)[-4:]
+        alone, told, *_ = carriers(x, np.log(alike(20_000)), ancestor, alike(20_000), older)[-4:]
         assert told < 10.0 < 1000.0 < alone
 
 
@@ -391,17 +396,19 @@ def test_what_came_from_few_points_a_reading_before_is_as_wrong_as_they_are():
     x, each = np.random.default_rng(0).standard_normal((2, 20_000)), np.arange(20_000)
     log_w = np.log(np.full(20_000, 5e-5))
     copied, first = np.repeat(x[:, :200], 100, axis=1), np.repeat(np.arange(200), 100)[None]
-    _, _, lineage, *_, few, evidence = carriers(copied, log_w, each, first)
+    _, _, lineage, *_, few, evidence = carriers(copied, log_w, each, alike(20_000), first)
     assert np.array_equal(lineage, [each, first[0]])
     assert (few, evidence) == (pytest.approx(200.0, rel=0.02), pytest.approx(20_000.0))
-    parted = carriers(copied + 9.0 * x, log_w, each, first)[-2]  # what noise has parted knows more
+    parted = carriers(copied + 9.0 * x, log_w, each, alike(20_000), first)[
+        -2
+    ]  # what noise has parted knows more
     assert parted > 4000.0
 
 
 def test_weights_that_are_no_numbers_are_left_out():
     x, log_w = np.arange(8.0)[:, None], np.zeros(8)
     log_w[2], x[3] = np.nan, np.inf
-    found = Carried.of(x, log_w, np.arange(8))
+    found = Carried.of(x, log_w, np.arange(8), alike(8))
     assert len(found.x) == 6
     assert found.log_evidence == pytest.approx(np.log(6.0))
 
@@ -415,9 +422,9 @@ def test_lineages_go_back_as_far_as_they_tell_apart():
     """One row stays while none of its lineages has most of the weight; then the row before it does."""
     x, log_w = np.random.default_rng(0).standard_normal((2, 64)), np.log(np.full(64, 1.0 / 64.0))
     each, first, one = np.arange(64), np.repeat(np.arange(16), 4), np.zeros(64, np.int64)
-    older = np.array([each] * (LINES - 1) + [first])
-    assert np.array_equal(carriers(x, log_w, each, older)[2], older)
-    assert np.array_equal(carriers(x, log_w, each, np.array([each] * (LINES - 1) + [one]))[2], [each] * LINES)
+    older, ending = (np.array([each] * (LINES - 1) + [last]) for last in (first, one))
+    assert np.array_equal(carriers(x, log_w, each, alike(64), older)[2], older)
+    assert np.array_equal(carriers(x, log_w, each, alike(64), ending)[2], [each] * LINES)
 
 
 def test_errors_of_few_points_have_no_jump():

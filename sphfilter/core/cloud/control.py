@@ -23,6 +23,9 @@ _OF_RANDOM = 0.5
 #: Of the error that points have, up to which steps may be off: what they add, a cloud and its shadow share,
 #: and modes keep it for many readings. Measured: half takes 1.2 to 1.65 times the evaluations, twice .7 to 1.
 _PART = 1.0 / 4.0
+#: Times what one reading shows, squared, that those before it may tell: by chance one of 140 shows so little
+#: that a third is told, of two numbers that are pooled: 1 - exp(-1 / (9 * 16)) = .007.
+_AT_MOST = 16.0
 _USUAL = 0.25  # error of a cloud of one point a typical reading leaves, over N^-1/2, before anything tells it
 #: Of the bias that is allowed, that steps get longer for (measured: with a tenth 1 to 1.9 times the steps).
 _AIMED = 0.5
@@ -47,14 +50,26 @@ _PATIENCE = 2  # readings that ask for fewer before there are; measured: errors 
 
 
 @register_jitable
-def smoothed(old, new):
+def smoothed(old, new, part=1.0):
     """Square of an error over the record, where one more of its readings has a new one; either may be NaN.
 
-    What is much worse than before is believed at once, to a quarter of its square.
+    What is much worse than before is believed at once, to a quarter of its square. What is not new may count
+    for a part only.
     """
     if old != old or new != new:
         return new if old != old else old
-    return max(0.25 * new, old + _NEW * (new - old))
+    return max(0.25 * new, part * (old + _NEW * (new - old)))
+
+
+@register_jitable
+def remembered(old, new):
+    """Part of squares over the record that counts, where that of the mean was old, and one is new.
+
+    After a reading that was unlike all others the next are much better: at once, to `_AT_MOST` times the new
+    square of the mean, which several numbers are pooled for.
+    """
+    average = smoothed(old, new)
+    return min(_AT_MOST * new / average, 1.0) if new == new and average > 0.0 else 1.0
 
 
 @register_jitable
@@ -140,6 +155,13 @@ def is_better(one, other):
 
 
 @register_jitable
+def hidden_from(shadow, error, bias):
+    """Part of an error of the mean that a shadow, which shows a square, has too: of few among its points."""
+    shown = both(error_by(shadow), bias)
+    return math.sqrt(max(error * error - shown * shown, 0.0))
+
+
+@register_jitable
 def errors_told(mean, variance, number, of_variance, outermost, size, bias):
     """Errors of mean and variances: what a shadow shows (squares), at least that of few points, and a `Bias`.
 
@@ -153,12 +175,13 @@ def errors_told(mean, variance, number, of_variance, outermost, size, bias):
 
 
 @register_jitable
-def evidence_error(square, lineages, size, n):
+def evidence_error(square, lineages, unseen, size, n):
     """Error of the log-evidence, nats: what the shadow shows, and at least that of so many lineages.
 
-    In the order of one state points are strata, which leave far less than points at random.
+    And what none of these stands for. In the order of one state points are strata, which leave far less than
+    points at random.
     """
-    return max(error_by(square), least_error(lineages, size if n > 1 else lineages))
+    return max(error_by(square), least_error(lineages, size if n > 1 else lineages), unseen)
 
 
 @register_jitable

@@ -33,7 +33,7 @@ _BEGIN = Entry(begin, (MATRIX, VECTOR, _LINES, types.int64, _KEY, NET, *_CURVE))
 _CARRY = Entry(carry, (LEG, MATRIX, _INTS, NET, _KEY))
 _LINEAR = Entry(carry_linear, (types.Tuple([MATRIX, VECTOR, MATRIX]), MATRIX, _INTS, NET, _KEY))
 _WEIGH = Entry(weigh, (WAY, types.UniTuple(NET, 3), _KEY))
-_CARRIED = Entry(carriers, (MATRIX, VECTOR, _INTS, _LINES))
+_CARRIED = Entry(carriers, (MATRIX, VECTOR, _INTS, VECTOR, _LINES))
 _MOTION, _SPAN = types.Tuple([LEG, ADDRESS]), types.UniTuple(types.float64, 2)
 _STEPS = types.NamedTuple([types.int64, types.boolean], Steps), types.UniTuple(types.int64, 2), types.float64
 _CHOSEN = Entry(chosen, (_MOTION, _SPAN, _CLOUD, _KEY, _CURVE, *_STEPS))
@@ -123,12 +123,14 @@ def put_through(parts, motion, sensor, spans, standing, bounds, curve):
         ahead, squares = _told(s, one, two, count)
         numbers = one.found.effective, one.found.of_variance, one.found.outermost, count
         error[j], wider[j] = control.errors_told(*squares[:2], *numbers, bias)
-        if not (one.usual and two.usual and error[j] == error[j]):
+        hidden = control.hidden_from(squares[0], error[j], bias.mean)
+        stays = error[j] > bounds.flagged and hidden > 0.0  # the next readings inherit it
+        if stays or not (one.usual and two.usual and error[j] == error[j]):
             end = UNUSUAL
             break
         m[j], P[j], x[j], C[j] = one.mean, one.cov, one.found.mean, one.found.cov
         evidence[j] = one.found.log_evidence
-        unsure[j] = control.evidence_error(squares[2], one.found.lineages, count, n)
+        unsure[j] = control.evidence_error(squares[2], one.found.lineages, one.found.unseen, count, n)
         if reader.h != NOWHERE_AT:  # of a linear sensor the moments say it
             off[j], S[j] = foreseen(about[3], one.y, one.w, one.mean)
         ahead = control.both(ahead, bias.mean)
@@ -271,14 +273,14 @@ def _cycled(about, cloud, keys, curve):
     if near_others(y, AWAY)[1]:  # else what reads may be asked where no state is
         z, log_w, ancestor, wrong = _weigh_at(parts[3])(way, (nets[0], nets[1], nets[2]), keys[1])
     carried, number = _carried_at(parts[4]), effective(w)
-    found = Carried(*carried(z, log_w, ancestor, older))
+    found = Carried(*carried(z, log_w, ancestor, w, older))
     unled = control.is_led(found.lineages, number, count)
     if unled and wrong == 0 and nets[3].size > 0:
         by = (nets[3], nets[4], nets[5]), keys[1], control.least_led(found.lineages), curve
         z, log_w, ancestor, wrong = _bridge_at(parts[6])(way, *by)
         unled = False
         if log_w.size > 0:
-            led = Carried(*carried(z, log_w, ancestor, older))
+            led = Carried(*carried(z, log_w, ancestor, w, older))
             found = led if control.is_better(led, found) else found
     mean, cov = np.empty(n), np.empty((n, n))
     weighted_moments(y, w, mean, cov)
@@ -293,12 +295,15 @@ def _told(s, one, two, count):
     n, times = one.mean.size, count / s.size
     mean, variance = control.square_of_more(s.mean, times), control.square_of_more(s.variance, times)
     first, second, _ = compared(one.mean, one.cov, two.mean, two.cov)
-    ahead = control.error_by(control.smoothed(mean, control.apart_by(first, second, n)))
+    new = control.apart_by(first, second, n)
+    ahead = control.error_by(control.smoothed(mean, new, control.remembered(mean, new)))
     if mean != mean:
         mean = control.expected_square(two.found.effective)
         variance = (n + 1.0) * mean
     first, second, most = compared(one.found.mean, one.found.cov, two.found.mean, two.found.cov)
-    mean = control.smoothed(mean, control.apart_by(first, second, n))
+    new = control.apart_by(first, second, n)
+    part = control.remembered(mean, new)
+    mean = control.smoothed(mean, new, part)
     off = one.found.log_evidence - two.found.log_evidence
-    evidence = control.smoothed(control.square_of_more(s.log_evidence, times), off**2)
-    return ahead, (mean, control.smoothed(variance, most), evidence)
+    evidence = control.smoothed(control.square_of_more(s.log_evidence, times), off**2, part)
+    return ahead, (mean, control.smoothed(variance, most, part), evidence)

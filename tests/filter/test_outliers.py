@@ -1,0 +1,62 @@
+"""Readings of eight to fifteen deviations: their errors are told, inherited and forgotten."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+from tail_grid import filtered_by_tail_grid
+
+import sphfilter as sf
+from sphfilter.core.cloud.lineages import pareto_index, unseen
+
+DRIFTS = {
+    "-0.7*x + 0.4*cos(x)": lambda x: -0.7 * x + 0.4 * np.cos(x),
+    "-tanh(3*x)": lambda x: -np.tanh(3.0 * x),
+    "x - x**3": lambda x: x - x**3,
+    "-x - x**3": lambda x: -x - x**3,
+    "-x + 1.5*sin(2*x)": lambda x: -x + 1.5 * np.sin(2.0 * x),
+}
+#: Noise, the sensor's variance, a variance of the start, times, readings.
+RECORDS = (
+    (0.5, 0.2, 0.5, (1.0, 2.0, 3.0, 4.0), (-0.86, -6.0, -2.06, -0.61)),
+    (0.6, 0.2, 0.1, (1.0, 1.3, 2.3, 3.3), (0.62, -6.0, -1.11, -0.72)),
+    (0.5, 0.04, 0.5, (1.0, 2.0, 3.0, 4.0), (-0.39, -6.0, -0.99, -0.4)),
+    (0.7, 0.01, 0.1, (1.0, 1.3, 1.6, 2.6), (-0.98, -5.06, -1.19, 0.15)),
+    (0.6, 0.04, 0.5, (0.3, 1.3, 1.6, 2.6), (-1.08, -5.01, -2.61, -0.78)),
+)
+
+
+@pytest.mark.parametrize("target", [0.1, 0.03])
+@pytest.mark.parametrize(("text", "record"), list(zip(DRIFTS, RECORDS, strict=True)))
+def test_an_outlier_is_flagged_and_what_it_leaves_is_told(text, record, target):
+    """What carries it came from the edge of the points before: what they miss, no cloud beside them shows."""
+    noise, R, P0, times, z = record
+    exact = filtered_by_tail_grid(DRIFTS[text], noise, R, (0.0, P0), times, z, 1000)
+    model = sf.SDE.from_expressions(["x"], [text], [[noise]])
+    sensor = sf.GaussianMeasurement([[1.0]], [[R]])
+    flt = sf.SPHFilter(model, sensor, x0=[0.0], P0=[[P0]], config=sf.FilterConfig(target_error=target))
+    for k, (t, reading) in enumerate(zip(times, z, strict=True)):
+        flt.predict(t=t)
+        info = flt.update([reading])
+        off = abs(flt.x[0] - exact[0, k]) / np.sqrt(exact[1, k])
+        assert info.flagged or off < 3.0 * target
+        if k == 1:
+            assert info.flagged
+            assert info.error > 0.1
+            assert info.evidence_error > 0.3
+    assert info.error < 3.0 * target  # two readings later
+
+
+@pytest.mark.parametrize("k", [-0.3, 0.2, 0.5, 0.9, 1.5])
+def test_the_index_of_a_tail_is_found(k):
+    u = (np.arange(4000)[::-1] + 0.5) / 4000.0
+    assert pareto_index((u**-k - 1.0) / k) == pytest.approx(k, abs=0.05)
+
+
+def test_what_no_lineage_stands_for_follows_the_tail_of_their_weights():
+    """Points of a Gaussian, weighted by exp(s y - s² / 2): the mean weight is one, most of it about s."""
+    y = norm.ppf((np.arange(4096) + 0.5) / 4096.0)
+    assert unseen(np.exp(-0.5 * y**2), 4096) < 1e-3  # the usual reading
+    told = [unseen(np.exp(s * y - 0.5 * s * s), 4096) for s in (1.0, 2.0, 3.0, 4.0)]
+    made = [1.0 - np.exp(s * y - 0.5 * s * s).mean() for s in (1.0, 2.0, 3.0, 4.0)]
+    assert np.all(np.diff(told) > 0.0)
+    assert all(0.8 * off < of < 8.0 * off for of, off in zip(told[2:], made[2:], strict=True))
