@@ -133,13 +133,14 @@ class CloudState(NamedTuple):
     inherited: float = 0.0  # error of the mean before it became points, as far as readings have left it
     age: int = 0  # predictions since the start: its random numbers hang on it, and on no clock
     origin: Origin | None = None  # as long as lineages go back to it
+    missed: float = 0.0  # error of the mean, flagged when it came, that few points have left to both clouds
 
     @property
     def begins(self) -> bool:
         """Whether a reading has left it, or it has just become points, and all errors are its own."""
         path = self.points.path
         begins = path is None or all(passage.model is None for passage in path.passages)
-        return begins and self.inherited == 0.0
+        return begins and self.inherited == 0.0 and self.missed == 0.0
 
 
 class Carried(lineages.Carried):

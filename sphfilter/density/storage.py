@@ -120,6 +120,7 @@ def _stored_cloud(state: CloudState) -> Arrays:
     *pace, (of_mean, of_variance) = state.pace
     arrays = {"told": np.array(state.told), "pace": np.array([*map(float, pace), of_mean])}
     numbers = {"size": state.size, "inherited": state.inherited, "age": state.age, "of_variance": of_variance}
+    numbers |= {"missed": state.missed} if state.missed > 0.0 else {}
     arrays |= {name: np.array(value) for name, value in numbers.items()}
     if state.origin is not None:
         family, defect, unsigned, off, log_mass = state.origin
@@ -150,8 +151,8 @@ def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[Dynamics
     size = arrays["size"].item() or len(points.w)  # older files have none where a reading began the cloud
     inherited, age = float(arrays.get("inherited", 0.0)), int(arrays.get("age", 0))  # older files have none
     origin = _origin_from(part("origin", arrays)) if "origin.mu" in arrays else None
-    state = CloudState(points, shadow, size, Told(*arrays["told"].tolist()), pace, inherited, age, origin)
-    return _as_cloud(state, about)
+    about_it = pace, inherited, age, origin, float(arrays.get("missed", 0.0))
+    return _as_cloud(CloudState(points, shadow, size, Told(*arrays["told"].tolist()), *about_it), about)
 
 
 def _as_cloud(state: CloudState, about: dict[str, Any]) -> ParticleDensity:

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme, FilterConfig
-from ..core.cloud.control import errors_told, evidence_error, hidden_from, wrong_beside
+from ..core.cloud.control import errors_told, evidence_error, hidden, wrong_beside
 from ..core.cloud.pace import Steps
 from ..core.limits import LITTLE
 from ..density.as_cloud import cloud_of
@@ -22,7 +22,7 @@ from ..errors import PropagationError
 from ..info import Code
 from ..prediction.cloud import as_points, shadow_size, squared_differences
 from .guided import weighed
-from .inherited import inherited
+from .inherited import inherited, left_of_shape
 from .reading_at_prior import Posterior, ReadingAtPrior, info_fields
 from .stacked import Stacked
 
@@ -69,35 +69,44 @@ class CloudReading(NamedTuple):
     log_evidence: float
     evidence_error: float
     own: float  # error of the mean that is its own
-    hidden: float  # part of that, which its shadow has too
+    hidden: float  # part of that, which its shadow has, too
     of_variance: float  # error of the variances that is
 
     @property
     def error(self) -> float:
         """Error of the mean, in standard deviations, with what was wrong before there were points."""
-        return math.hypot(self.own, self.state.inherited)
+        own, missed = self.own, self.state.missed
+        if missed > self.hidden:  # of the same few points: the larger one
+            own = math.hypot(math.sqrt(max(own**2 - self.hidden**2, 0.0)), missed)
+        return math.hypot(own, self.state.inherited)
 
     @property
     def variance_error(self) -> float:
         """Error of the variances as a part of each, where it is most."""
-        return math.hypot(self.of_variance, math.sqrt(2.0) * self.state.inherited)
+        root = math.sqrt(2.0)
+        return math.hypot(max(self.of_variance, root * self.state.missed), root * self.state.inherited)
 
     def left(self, flagged: float) -> CloudState:
-        """What goes on, with the part of an error that is flagged which no later shadow will show."""
-        hidden = self.hidden if self.own > flagged else 0.0
-        return self.state._replace(inherited=math.hypot(self.state.inherited, hidden))
+        """What goes on: of an error that is flagged, the next readings inherit what no shadow shows later."""
+        missed = max(self.state.missed, self.hidden if self.own > flagged else 0.0)
+        return self.state._replace(missed=missed)
 
     def inheriting(self, before: CloudState, prior: tuple[Floats, Floats]) -> "CloudReading":
-        """With what the reading leaves of an error that there was before there were points.
+        """With what the reading leaves of an error that there was before there were points, or so many.
 
         It is counted as long as the cloud's own does not hide it. `prior` is mean (n,) and covariance (n, n).
         """
+        found, moments = self, (prior, self.moments)
+        if before.missed > 0.0:
+            left, nats = (before.missed * part for part in left_of_shape(moments))
+            state = self.state._replace(missed=left if left > LITTLE * self.own else 0.0)
+            found = self._replace(state=state, evidence_error=math.hypot(self.evidence_error, nats))
         if not before.inherited > 0.0:
-            return self
-        error, nats, origin = inherited(before, self.state.points, (prior, self.moments))
+            return found
+        error, nats, origin = inherited(before, self.state.points, moments)
         error, origin = (error, origin) if error > LITTLE * self.own else (0.0, None)
-        state = self.state._replace(inherited=error, origin=origin)
-        return self._replace(state=state, evidence_error=math.hypot(self.evidence_error, nats))
+        state = found.state._replace(inherited=error, origin=origin)
+        return found._replace(state=state, evidence_error=math.hypot(found.evidence_error, nats))
 
 
 def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading | None:
@@ -116,13 +125,12 @@ def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading |
     else:  # none of the few sees the reading: a part of the many goes on beside them
         shadow = _part_of(points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
-    numbers = found.effective, found.of_variance, found.outermost, state.size
-    error, wider = errors_told(told.mean, told.variance, *numbers, state.pace.bias)
-    hidden = hidden_from(told.mean, error, state.pace.bias.mean)
+    error, wider = errors_told(told.mean, told.variance, found, state.size, state.pace.bias)
     pace = Pace(state.pace.step, state.pace.stiff)
     state = state._replace(points=points, shadow=shadow, told=told, pace=pace)
-    unsure = evidence_error(told.log_evidence, found.lineages, found.unseen, state.size, len(found.mean))
-    return CloudReading(state, moments, found.log_evidence, unsure, error, hidden, wider)
+    unshown = hidden(error, told.mean, state.pace.bias.mean)
+    unsure = evidence_error(told.log_evidence, found, state.size, len(found.mean))
+    return CloudReading(state, moments, found.log_evidence, unsure, error, unshown, wider)
 
 
 def error_added(

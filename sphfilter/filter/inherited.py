@@ -58,14 +58,14 @@ def left_by_update(prior: ParticleDensity, posterior: ParticleDensity) -> tuple[
     return after.error, evidence_error_by(read_out(family, defect), after.log_mass, prior, posterior)
 
 
-def _left_of_shape(moments: Moments) -> float:
-    """Part of an error of the mean that a reading leaves, or makes of what is wrong with a prior's shape.
+def left_of_shape(moments: Moments) -> tuple[float, float]:
+    """Part of an error of the mean that a reading leaves, or makes of a wrong shape; and what it adds, nats.
 
     Of that no more is known: it is taken for the lowest polynomials that are a shape, of degrees three and
     four, without a sign.
     """
     left = shift_left_by_update(moments[0][1], moments[1][1])
-    return math.hypot(left, OF_UNSIGNED * steepness(moments, 2))
+    return math.hypot(left, OF_UNSIGNED * steepness(moments, 2)), _log_evidence_off(moments)
 
 
 def of_shape(rough: float, moments: Moments) -> float:
@@ -94,7 +94,7 @@ def inherited(before: CloudState, after: Points, moments: Moments) -> Inherited:
     Where the points began as a family, each is too light, or too heavy, by the defect of that where its first
     ancestor was. As long as lineages go back that far, they tell what that makes of mean and evidence.
     """
-    left, nats, origin = _left_of_shape(moments), _log_evidence_off(moments), before.origin
+    (left, nats), origin = left_of_shape(moments), before.origin
     if origin is None or after.lineage is None:
         return Inherited(before.inherited * left, before.inherited * nats, None)
     (x, w, path, *_), (family, defect, unsigned, off, log_mass) = before.points, origin

@@ -122,20 +122,12 @@ def carried_cloud(
     told = state.told.of(count / state.size)
     off = squared_differences(ends[0], ends[1], domain, sums)
     seen = told.after(*off).errors
-    inherited = state.inherited
-    if inherited > 0.0 and state.origin is None:
-        inherited *= _kept(state.points.x, ends[0], sums[0][1])
-    error = math.hypot(seen.mean, pace.bias.mean, inherited)
+    missed = state.missed and state.missed * _kept(state.points.x, ends[0], sums[0][1])
+    error = math.hypot(max(seen.mean, missed), pace.bias.mean, state.inherited)
     beyond = outermost(columns(ends[0].x), ends[0].w, *sums[0])
     wider = math.hypot(max(math.sqrt(2.0) * error, seen.variance, beyond), pace.bias.variance)
     state = state._replace(
-        points=ends[0],
-        shadow=ends[1],
-        size=count,
-        told=told,
-        pace=pace,
-        age=state.age + 1,
-        inherited=inherited,
+        points=ends[0], shadow=ends[1], size=count, told=told, pace=pace, age=state.age + 1, missed=missed
     )
     return Carried(state, sums[0], error, wider, lost, steps.number)
 

@@ -155,33 +155,37 @@ def is_better(one, other):
 
 
 @register_jitable
-def hidden_from(shadow, error, bias):
-    """Part of an error of the mean that a shadow, which shows a square, has too: of few among its points."""
-    shown = both(error_by(shadow), bias)
+def hidden(error, square, bias):
+    """Part of an error of the mean that a shadow has, too, and that neither a square of it nor steps show."""
+    shown = both(error_by(square), bias)
     return math.sqrt(max(error * error - shown * shown, 0.0))
 
 
 @register_jitable
-def errors_told(mean, variance, number, of_variance, outermost, size, bias):
+def errors_told(mean, variance, found, size, bias):
     """Errors of mean and variances: what a shadow shows (squares), at least that of few points, and a `Bias`.
 
-    As many of a cloud's points as a number count for the mean, and as another for the variances, of which a
-    part is beyond the outermost.
+    By what a cloud of some size has `Carried`: as many of its points as a number count for the mean, and as
+    another for the variances, and of both a part is missed.
     """
     root = math.sqrt(2.0)  # of what a mean is off by, a variance is, where nothing more is known
-    least = least_error(number, size)
-    wider = max(error_by(variance), root * max(least, least_error(of_variance, size)), outermost)
-    return both(max(error_by(mean), least), bias.mean), both(wider, bias.variance)
+    least = least_error(found.effective, size)
+    wider = max(error_by(variance), root * max(least, least_error(found.of_variance, size)), found.outermost)
+    error = max(error_by(mean), least)
+    if found.missed > 0.0:
+        error, wider = both(error, found.missed), both(wider, root * found.missed)
+    return both(error, bias.mean), both(wider, bias.variance)
 
 
 @register_jitable
-def evidence_error(square, lineages, unseen, size, n):
-    """Error of the log-evidence, nats: what the shadow shows, and at least that of so many lineages.
+def evidence_error(square, found, size, n):
+    """Error of the log-evidence, nats: what the shadow shows, and at least that of the lineages `Carried`.
 
     And what none of these stands for. In the order of one state points are strata, which leave far less than
     points at random.
     """
-    return max(error_by(square), least_error(lineages, size if n > 1 else lineages), unseen)
+    least = least_error(found.lineages, size if n > 1 else found.lineages)
+    return max(error_by(square), least, found.unseen)
 
 
 @register_jitable

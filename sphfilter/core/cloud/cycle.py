@@ -121,16 +121,15 @@ def put_through(parts, motion, sensor, spans, standing, bounds, curve):
         few = over(own, own.flow, *span, fewer)
         one, two = _both(about, few, s, curve)
         ahead, squares = _told(s, one, two, count)
-        numbers = one.found.effective, one.found.of_variance, one.found.outermost, count
-        error[j], wider[j] = control.errors_told(*squares[:2], *numbers, bias)
-        hidden = control.hidden_from(squares[0], error[j], bias.mean)
-        stays = error[j] > bounds.flagged and hidden > 0.0  # the next readings inherit it
+        error[j], wider[j] = control.errors_told(*squares[:2], one.found, count, bias)
+        stays = control.hidden(error[j], squares[0], bias.mean) > 0.0 and error[j] > bounds.flagged
+        # what the next readings inherit is the filter's
         if stays or not (one.usual and two.usual and error[j] == error[j]):
             end = UNUSUAL
             break
         m[j], P[j], x[j], C[j] = one.mean, one.cov, one.found.mean, one.found.cov
         evidence[j] = one.found.log_evidence
-        unsure[j] = control.evidence_error(squares[2], one.found.lineages, one.found.unseen, count, n)
+        unsure[j] = control.evidence_error(squares[2], one.found, count, n)
         if reader.h != NOWHERE_AT:  # of a linear sensor the moments say it
             off[j], S[j] = foreseen(about[3], one.y, one.w, one.mean)
         ahead = control.both(ahead, bias.mean)

@@ -7,7 +7,7 @@ import numpy as np
 
 from .._jit import jit
 from .._views import stretch
-from ..limits import ROUNDING, TINY
+from ..limits import LOOK, ROUNDING, TINY
 from ..small_matrices import cholesky, invert_lower
 from ..sums import dot
 from .weights import effective, finite_rows, normalise, taken, weighted_moments
@@ -15,6 +15,8 @@ from .weights import effective, finite_rows, normalise, taken, weighted_moments
 #: Rows of lineages: those of one reading and of more, and in the last those that go back farthest. Measured:
 #: of 507 errors of means 28 were told to a third at most with one, 20, 16, 14, 13 with two, three, six, 8.
 LINES = 6
+_KNOWN = 0.5 * LOOK  # lineages, of which the first few have a tenth of the evidence or less
+_STEEPEST = 0.95  # index of a tail from which on its sum, which has none above one, is not told by it
 
 
 class Carried(NamedTuple):
@@ -31,6 +33,7 @@ class Carried(NamedTuple):
     cov: np.ndarray  # (n, n)
     outermost: float  # of a variance, what no point stands for
     unseen: float  # of the evidence, what no lineage stands for
+    missed: float  # error of the mean, in standard deviations, that comes of it
     alone: float  # for variances, were each point its own
     of_variance: float  # for variances
     effective: float  # for means
@@ -59,27 +62,27 @@ def carriers(x, log_w, ancestor, mass, older):
         log_w[i] = log_w[i] if fine[i] else -np.inf
     log_evidence = normalise(log_w, w)
     if not abs(log_evidence) < np.inf:
-        return x, w, _lines(ancestor, older, 0.0), -np.inf, mean, cov, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        return x, w, _lines(ancestor, older, 0.0), -np.inf, mean, cov, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     heavy = np.flatnonzero(w > 0.0)
     if heavy.size < N:
         x, w, ancestor = taken(x, heavy), w[heavy], ancestor[heavy]
     weighted_moments(x, w, mean, cov)
     added, member = _added(x, w, ancestor, mean, cov)
     squares, part, wider = _squares(added, cov)
-    lineages, missed = 1.0 / squares, unseen(added[n] / mass[member], len(mass))
+    lineages = 1.0 / squares
+    beyond = unseen(added[n], added[n] / mass[member], lineages)
+    missed = beyond * math.sqrt(part / squares) if part > 0.0 else beyond  # it lies as far off as they do
     number, alone = lineages, of_variances(x, w, mean, cov)
     of_variance = least_number(alone, squares, wider)
     if part > 0.0:
         # few lineages may agree by chance, and one agrees with itself: a variance seen L - 1 times
         number = max(lineages, min(effective(w), (1.0 - squares) / part, lineages * lineages))
-        if missed > 0.0:  # lineages that are missed lie as far off as these, at least
-            number = min(number, squares / (part * missed**2))
     together = squares
     for own in older:
         added, member = _gathered(added, member, own)
         together, part, wider = _squares(added, cov)
         of_variance, number = least_number(of_variance, together, wider), least_number(number, together, part)
-    numbers = outermost(x, w, mean, cov), missed, alone, of_variance, number, lineages
+    numbers = outermost(x, w, mean, cov), beyond, missed, alone, of_variance, number, lineages
     return x, w, _lines(ancestor, older, together), log_evidence, mean, cov, *numbers
 
 
@@ -91,21 +94,25 @@ def least_number(number, together, part):
 
 
 @jit
-def unseen(weights, count):
-    """Part of the evidence that no lineage stands for, by the tail of their weights over those before (L,).
+def unseen(shares, weights, number):
+    """Part of the evidence that no lineage stands for, by shares of it, and those over shares before (L,).
 
     Where few come from far out, those that would come from further out are missing, and what there is agrees
-    with itself. An average of `count` points whose tail falls as their rank to the power of -k is off by
-    about count^(k - 1), however it is taken (Vehtari, Simpson, Gelman, Yao, Gabry 2024). Usual readings bound
-    the weights: k is below .15, and above .3 of thirty outliers of 8 to 15 deviations
-    (`tests/filter/test_outliers.py`).
+    with itself. Where weights fall with their rank to the power of -k, the part up to the first rank has
+    2^-k / (1 - k) of what the first lineage, which is its middle, has. The index k is that of the tail which
+    Vehtari, Simpson, Gelman, Yao, Gabry (2024) take: below .15 where a reading is usual, .3 to 40 of thirty
+    outliers of 8 to 15 deviations (`tests/filter/test_outliers.py`). Where likelihoods bound the weights, as
+    many as the `number` of lineages that count have an index below zero, and none are missed; of more than
+    `_KNOWN` the few that are missed are told five times too high (`tests/filter/test_ladder.py`).
     """
-    m = int(min(3.0 * math.sqrt(len(weights)), len(weights) / 5.0))  # the tail of Vehtari and others
-    if m < 5:
+    m = int(min(3.0 * math.sqrt(len(weights)), len(weights) / 5.0))
+    if m < 5 or not number < _KNOWN:
         return 0.0
     tail = np.sort(weights)[-m - 1 :]
-    k = pareto_index(tail[1:] - tail[0])
-    return min(count ** (k - 1.0), 1.0) if k > 0.0 else 0.0
+    k, m = min(pareto_index(tail[1:] - tail[0]), _STEEPEST), max(min(int(number), m), 5)
+    if not k > 0.0 or not pareto_index(tail[-m:] - tail[-m - 1]) > 0.0:
+        return 0.0
+    return min(shares.max() * (2.0**-k / (1.0 - k) - 1.0), 1.0)
 
 
 @jit
