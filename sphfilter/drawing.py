@@ -32,10 +32,6 @@ def chosen(known: Sequence[str], asked: Sequence[str] | str | None) -> list[int]
     return [list(known).index(name) for name in names]
 
 
-def _single() -> Any:
-    return _pyplot().subplots(figsize=(5.5, 4.2), layout="constrained")[1]
-
-
 def _column(ax: Any, count: int) -> tuple[Any, list[Any]]:
     """Axes, one below the other, those given if any: as they are returned, and as a list."""
     if ax is None:
@@ -231,7 +227,7 @@ def _one_or_pairs(
     """One panel of one or two parameters, or all pairs."""
     if len(axes) > 2:
         return _pairs(names, axes, ax, draw)
-    ax = _single() if ax is None else ax
+    ax = _pyplot().subplots(figsize=(5.5, 4.2), layout="constrained")[1] if ax is None else ax
     draw(list(axes), ax)
     return ax
 

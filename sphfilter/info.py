@@ -12,20 +12,20 @@ from typing import Self
 import numpy as np
 
 from ._types import Bools, Floats, Noted, in_a_line
-from .core.limits import EDGE
+from .core.limits import EDGE, WRONG
 
 #: The reason of an update without a reading, which is none to worry about.
 NOTHING_CAME = "no measurement came"
-#: Estimated error of a mean, in standard deviations, that is said in words: errors lie within three times
-#: what is estimated, and a fifth of a standard deviation is wrong: 3 DOUBTFUL = .2.
-DOUBTFUL = 0.2 / 3.0
+#: Times what is estimated, within which errors lie: .98 of 7,100 by `experiments benchmark`.
+WITHIN = 3.0
+DOUBTFUL = WRONG / WITHIN  # estimated error of a mean, in standard deviations, that is said in words
 
 
 def may_be_off(error: float) -> str:
     """Sentence on an estimated error of a mean, standard deviations, that is worth one."""
     if not error < EDGE:
         return "how far the mean is off is not known"
-    return f"the mean may be off by {3.0 * error:.2g} standard deviations"
+    return f"the mean may be off by {WITHIN * error:.2g} standard deviations"
 
 
 class Code(IntFlag):

@@ -10,12 +10,11 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from enum import IntEnum
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
-#: Exit code of a program that Ctrl-C ended: 128 and the number of the signal, SIGINT = 2.
-STOPPED = 130
 #: Seconds after which an interruption comes again: one that could not be raised, and one that was, should
 #: somebody have swallowed it. Measured: of eleven stops with them ten end in a sentence.
 _SOON, _LATER = 0.02, 1.0
@@ -36,6 +35,13 @@ _NAMED_TUPLE = "namedtuple_"
 _AGAIN = threading.Event()
 
 
+class Exit(IntEnum):
+    """Codes of programs that end early, as shells know them."""
+
+    REFUSED = 2  # as of argparse, for wrong words
+    STOPPED = 128 + signal.SIGINT
+
+
 def stoppable(prepare: Callable[[], object], work: Callable[[], int]) -> int:
     """Call prepare(), then work(), and return what that returns: an exit code.
 
@@ -51,7 +57,7 @@ def stoppable(prepare: Callable[[], object], work: Callable[[], int]) -> int:
     try:
         code = work()
     except KeyboardInterrupt as stop:
-        code = STOPPED
+        code = Exit.STOPPED
         if not isinstance(stop.__context__, KeyboardInterrupt):  # else it came while one was answered
             print("Stopped.", file=sys.stderr)
     signal.signal(signal.SIGINT, lambda signum, frame: os._exit(code))
@@ -61,7 +67,7 @@ def stoppable(prepare: Callable[[], object], work: Callable[[], int]) -> int:
 
 def _leave(signum: int, frame: FrameType | None) -> NoReturn:
     os.write(2, b"Stopped.\n")
-    os._exit(STOPPED)
+    os._exit(Exit.STOPPED)
 
 
 def _raise(signum: int, frame: FrameType | None) -> None:

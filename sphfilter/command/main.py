@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from .._version import __version__
 from ..errors import SphfilterError
 from . import comparing, doctor, filtering, fitting, forecasting, simulating
-from .interruption import STOPPED, stoppable
+from .interruption import Exit, stoppable
 from .progress import told
 
 _VERBS = {
@@ -18,7 +18,6 @@ _VERBS = {
     "simulate": (simulating, "draw readings of a model, for trying it out"),
     "doctor": (doctor, "look at the installation: versions, compiled code, a small filter"),
 }
-_REFUSED = 2  # exit code of what is refused, as of argparse = that of shells for wrong words
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -42,11 +41,11 @@ def _run(argv: Sequence[str]) -> int:
             say(f"sphfilter {args.command}")  # reading texts takes a second
             found = _VERBS[args.command][0].main(args, say)
     except SphfilterError as problem:
-        return _ended(str(problem), _REFUSED)
+        return _ended(str(problem), Exit.REFUSED)
     except KeyboardInterrupt as stop:
-        return _ended(str(stop) or "stopped", STOPPED)
+        return _ended(str(stop) or "stopped", Exit.STOPPED)
     except OSError as problem:
-        return _ended(f"cannot write {problem.filename}: {problem.strerror}", _REFUSED)
+        return _ended(f"cannot write {problem.filename}: {problem.strerror}", Exit.REFUSED)
     print(found)
     return 0
 

@@ -61,12 +61,7 @@ def nees(truth: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> Floats:
     Returns
     -------
     ndarray, shape (R, T) or (T,)
-        NaN where an argument is; infinite where a covariance is not positive definite.
-
-    Raises
-    ------
-    ModelError
-        Shapes that do not fit.
+        NaN, infinite or an error as in `distance`.
 
     Examples
     --------
@@ -91,7 +86,7 @@ def nis(innovation: ArrayLike, S: ArrayLike) -> Floats:
     Returns
     -------
     ndarray, shape (R, T) or (T,)
-        NaN and infinite as in `nees`.
+        As in `nees`.
 
     Examples
     --------

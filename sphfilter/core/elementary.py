@@ -15,13 +15,14 @@ _OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}, "forceinline": Tru
 #: Added to a number and taken away again it rounds it; in between, the lowest bits are the whole number's.
 #: From 2^52 on numbers are whole, and half as much more keeps negative ones from falling below it.
 _ROUNDING = 1.5 * 2.0**52
-_PER_QUARTER, _PER_OCTAVE = 2.0 / math.pi, 1.0 / math.log(2.0)
+_PER_QUARTER, _PER_OCTAVE = 2.0 / math.pi, math.log2(math.e)
 #: π/2 and ln 2 in parts (fdlibm) of 32 bits, of which multiples up to 2^21 are exact; sums are off by 1e-26.
 _QUARTER = 1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21
 _OCTAVE = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 = their sum
-_LEAST, _MOST = -708.0, 709.0  # exp(-708) and exp(709) are the last whole ones that are normal numbers
-#: The least number whose exponent has bits, and what lifts any less above it: of 2^-1074, the least, 2^-1020.
-_NORMAL, _SCALE, _SCALED = 2.0**-1022, 2.0**54, 54
+#: The least number whose exponent has bits; over eps = 2^-52 any less is lifted to it, 2^-1074 to 2^-1022.
+_NORMAL, _EPS, _LIFTED = float(np.finfo(float).tiny), float(np.finfo(float).eps), int(np.finfo(float).nmant)
+#: The last whole numbers whose exponentials are normal, -708 and 709.
+_LEAST, _MOST = float(math.ceil(math.log(_NORMAL))), float(math.floor(math.log(np.finfo(float).max)))
 _ROOT_HALF = int(np.float64(math.sqrt(0.5)).view(np.int64))  # mantissas are between √½ and √2
 _NEAR = 0.25  # to zero, where 1 - 2 / (exp(2 x) + 1) cancels; the fraction is right to 2e-16 up to a half
 
@@ -75,7 +76,7 @@ def _exp(x):
 def _log(x):
     x = np.float64(x)
     small = x < _NORMAL
-    bits = np.float64(x * _SCALE if small else x).view(np.int64)
+    bits = np.float64(x / _EPS if small else x).view(np.int64)
     k = (bits - _ROOT_HALF) >> 52
     f = np.int64(bits - (k << 52)).view(np.float64) - 1.0
     s = f / (2.0 + f)
@@ -84,7 +85,7 @@ def _log(x):
     q = 1.818357216161805012e-01 + z * (1.531383769920937332e-01 + z * 1.479819860511658591e-01)
     p = z * (6.666666666666735130e-01 + z * (p + z * z * z * q))
     half = 0.5 * f * f
-    e = np.float64(k - _SCALED if small else k)
+    e = np.float64(k - _LIFTED if small else k)
     value = e * _OCTAVE[0] - ((half - (s * (half + p) + e * _OCTAVE[1])) - f)
     value = value if x < np.inf else x
     return value if x > 0.0 else (-np.inf if x == 0.0 else np.nan)

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.family.basis import averages
-from ..core.limits import ROUNDS, TINY
+from ..core.limits import LEAP, ROUNDS, TINY
 from ..core.monomials import up_to
 from .defect import Defect, defect_of
 from .family import OF_MISFIT, Family, fitted, gaussian_family, moments_apart, node_moments
@@ -18,8 +18,7 @@ from .particle_density import ParticleDensity
 from .pieces import Pieces, particles_of_pieces, pieces_of
 from .resample import logarithm
 
-_FOUND = 1e-9
-_LONGEST = 2.0  # change of log p in a round, rms over the density
+_FOUND = 1e-9  # of moments: Newton's next step would leave (1e-9)² = 1e-18, less than rounding
 
 
 def family_of(density: ParticleDensity, degree: int) -> tuple[Family, float]:
@@ -169,7 +168,7 @@ def _solved(V: Floats, log_w: Floats, c: Floats, wanted: Floats) -> Floats | Non
         except np.linalg.LinAlgError:
             return None
         long = math.sqrt(max(float(off @ step), 0.0))
-        step *= min(1.0, _LONGEST / max(long, TINY))
+        step *= min(1.0, LEAP / max(long, TINY))
         value, slope = log_z - c[1:] @ wanted[1:], float(off @ step)
         for _ in range(ROUNDS):
             trial = c.copy()

@@ -34,10 +34,10 @@ __all__ = ["Gaussian", "Uniform", "initialize", "on_equal_lattice"]
 Distribution: TypeAlias = Gaussian | Uniform | OfStates
 
 _LOGGER = logging.getLogger("sphfilter")
-_MISSING = 0.05  # of the variance of a Gaussian, from which it is said
-_TRIES = 5  # numbers of nodes, each twice the one before, for a target error
-_MOST_TRIED = 300  # nodes of a box, over the number of particles wanted
-_COARSE = 5000  # particles that a callable pdf is first looked at with
+_MISSING = 0.05  # of the variance of a Gaussian, from which it is said: √.95 = .975 of its deviation is left
+_TRIES = 5  # numbers of nodes, each twice the one before, for a target error: up to 2⁴ = 16 times the first
+_MOST_TRIED = 300  # nodes of a box, over the particles wanted: √300 = 17 times as wide in two states
+_COARSE = 5000  # particles that a callable pdf is first looked at with: √5000 = 71 along each of two axes
 #: Probability that is left out: 10,000 standard deviations off it moves a mean by 1e4 · 1e-6 = .01 of one.
 NEGLIGIBLE = 1e-6
 #: Kernels of a density that no scheme asks kernels of: smooth, and not fitted.

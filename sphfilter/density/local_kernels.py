@@ -9,7 +9,7 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.cloud.kernels import log_sum, log_sum_gradient, seen
-from ..core.limits import EDGE, TINY
+from ..core.limits import EDGE, OUTLYING, TINY
 from ..core.monomials import up_to
 from ..core.sph.kernels import Kernel
 
@@ -17,10 +17,7 @@ from ..core.sph.kernels import Kernel
 _KERNELS = 1024
 #: Width of what looks about, over N^(-1/(n + 8)), as `python tests/density/kernel_widths.py` measures it.
 _WIDTH = 1.4
-#: Standard deviations, beyond which polynomials keep the values that they have there: 2 (1 - Φ(5)) = 6e-7 of
-#: a Gaussian of one state.
-_CLIP = 5.0
-_RIDGE = 1e-10  # of the mean diagonal of the normal matrix: 10⁴ times what rounds off a hundred terms, 1e-14
+_RIDGE = 1e-10  # of the mean diagonal of the normal matrix: a hundred terms round off 10⁻⁴ _RIDGE = 1e-14
 _BLOCK = 4096  # points at a time: of 35 terms, as four states have, 8 · 35 _BLOCK = 1.1 MB
 
 
@@ -187,11 +184,11 @@ def _slope(z: Floats, mass: Floats) -> Floats:
 def _hermite(z: Floats, powers: Floats, mass: Floats | None = None) -> tuple[Floats, Floats]:
     """Products (q, N) of normalised Hermite polynomials at z (N, n), and the sums (q, n) of their gradients.
 
-    Gradients are summed with masses (N,), where there are any. Beyond `_CLIP` products are what they are on
-    that sphere, which looks the same from all whitened coordinates.
+    Gradients are summed with masses (N,), where there are any. Beyond `OUTLYING` products are what they are
+    on that sphere, which looks the same from all whitened coordinates.
     """
     r = np.maximum(np.linalg.norm(z, axis=1, keepdims=True), TINY)
-    scale = np.minimum(1.0, _CLIP / r)
+    scale = np.minimum(1.0, OUTLYING / r)
     y = scale * z
     He = [np.ones_like(y), y]
     for k in range(2, powers.max() + 1):

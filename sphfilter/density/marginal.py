@@ -11,14 +11,15 @@ from ..core.field import cells
 from ..core.field.field import Field
 from ..core.field.stencils import stencils
 from ..core.field.walls import NO_WALLS, Walls
+from ..core.limits import ENTRIES
 from ..lattice import field as lattice_field
 from ..lattice.level_set import LatticeDensity, flood, lay
 from ..lattice.walls import near_walls, node_weights
 
 _FURTHER = 11.0  # nats below a lattice's cut to which tails are summed: exp(-11) = 2e-5 of the density there
 _RINGS = 2  # of cells beyond its nodes that a density has in planes through it
-_FEWEST = {1: 60, 2: 500, 3: 1500}  # nodes of a marginal at least, and so many with more states
-_BLOCK = 500_000  # terms at a time: 8 n _BLOCK = 4 n MB
+#: Nodes of a marginal at least, and so many with more states: √500 = 22 and 1500^⅓ = 11 along each axis.
+_FEWEST = {1: 60, 2: 500, 3: 1500}
 
 
 def around(field: Field, walls: Walls = NO_WALLS) -> Floats:
@@ -74,7 +75,7 @@ def _summed(field: Field, order: Ints, factor: Floats, others: Floats, walls: Wa
     def log_p(Y: Floats) -> Floats:
         here = np.linalg.solve(factor[:k, :k], (Y - field.mu[order[:k]]).T).T
         out = np.empty(len(Y))
-        step = max(1, _BLOCK // len(plane))
+        step = max(1, ENTRIES // (len(order) * len(plane)))
         for first in range(0, len(Y), step):
             some = here[first : first + step]
             rows = np.repeat(some, len(plane), axis=0), np.tile(plane, (len(some), 1))

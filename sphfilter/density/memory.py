@@ -12,9 +12,6 @@ from ..info import DOUBTFUL
 _TYPICAL = 0.6
 #: Power of the predictions since a reading, by which their allowances fall: sum_k k^-1.5 = 2.6 of the first.
 SHARED = 1.5
-#: Of the target, that a lattice is to add at most where errors of the past use it up, and readings forget
-#: little of them; half of it is not tried again. Measured: half and twice change no run.
-AIMED = 0.25
 #: Times the target, from which a reading is tried again: estimates are no better. Measured: half leaves .8 of
 #: three errors for up to 1.1 times the work; twice 3 times one of eight, for 1.5 times the work.
 MISSED = 1.5

@@ -22,6 +22,7 @@ from ..core.cloud.pace import Bias, Steps, chosen
 from ..core.cloud.reader import Reader
 from ..core.cloud.steps import BESIDE, BETWEEN, FLOW, NO_LEG, STIFF_FLOW, Leg
 from ..core.cloud.way import AGAIN, FIRST, KERNEL, begin, carry, carry_linear, everywhere
+from ..core.limits import ENTRIES
 from ..model.compile import surfacing
 from ..model.discrete import DiscreteModel
 from ..model.dynamics import Dynamics
@@ -37,7 +38,6 @@ MOST, _NUMBERS = 24, 2**22
 #: Least part of a start's spread that is noise. Measured: with a quarter and a half, evaluations of two
 #: scenes are 1 to 1.15 times as many, errors .9 to 1.15 times as large.
 _SPREAD = 1.0 / 3.0
-_AT_ONCE = 2**14  # steps of points linearised at once: matrices of four states take 2^14 · 16 · 8 B = 2 MB
 _NO_NETS = tuple(np.broadcast_to(0.0, (0, 0)) for _ in range(3))
 _LED_BEFORE: set[tuple[int, int]] = set()  # points and states
 _NO_ROWS = np.empty((1, 0, 0))
@@ -328,12 +328,12 @@ class Transitions(NamedTuple):
 
     @classmethod
     def of(cls, model: Dynamics, x: Floats, span: tuple[float, float], steps: Steps) -> "Transitions":
-        """Linearise about states x (N, n), a few thousand steps of them at once."""
+        """Linearise about states x (N, n), as many at once as steps have `ENTRIES`."""
         if model.linear:
             Phi, offset, L = change_of(model, span[1] - span[0])
             lower = np.broadcast_to(L, (len(x), *L.shape)).copy()
             return cls(model, span, steps, x, np.einsum("ab,ib->ia", Phi, x) + offset, lower, None)
-        leg, many = leg_of(model, *span, *steps), max(_AT_ONCE // steps.number, 1)
+        leg, many = leg_of(model, *span, *steps), max(ENTRIES // (steps.number * model.dim**2), 1)
         ends, _, lowers, rows = zip(
             *[_linearised(leg, x[k : k + many]) for k in range(0, len(x), many)], strict=True
         )

@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 
 from .._types import Bools, Floats, Ints
 from ..core.family.rules import rule as family_rule
-from ..core.limits import LOG_2_PI, ROUNDS
+from ..core.limits import AROUND, ENTRIES, LOG_2_PI, ROUNDS
 from ..core.merging import merge
 from ..lattice.level_set import LatticeDensity, root_of, usual_nodes
 from .family import laid_by
@@ -19,8 +19,6 @@ from .moments import moments_of_sum
 from .quasi_random import STATES, quasi_random, systematic
 from .shapes import Moments, Shape
 
-ENTRIES = 2**21  # of an array of states times pieces: 8 ENTRIES = 16 MB
-NEAR = 2.5  # widths of a piece within which neighbours' middles lie: 2 Φ(-2.5) = .012 of it lies beyond
 #: Part of the change of log p by mergers, that is an error of the mean. Measured: with half and twice errors
 #: are .9 to 1.1 times as large.
 OF_CHANGE = 0.2
@@ -120,11 +118,12 @@ def pieces_of(mean: Floats, cov: Floats) -> Pieces:
 def merged(pieces: Pieces, most: float, reach: float = 1.0) -> tuple[Pieces, float]:
     """Merge pairs of pieces, the most alike first, until log p would change by more than `most`.
 
-    With a `reach` that is asked so many times as far out. Returns the pieces, and the change of log p,
-    averaged over the mass.
+    With a `reach` that is asked so many times as far out. Middles of pairs lie within `AROUND` widths.
+    Returns the pieces, and the change of log p, averaged over the mass.
     """
     xi, u = nodes(pieces.mean.shape[1])
-    *parts, debt = merge(*map(np.ascontiguousarray, pieces), most, NEAR, np.array(reach * xi.T, order="C"), u)
+    far_out = np.array(reach * xi.T, order="C")
+    *parts, debt = merge(*map(np.ascontiguousarray, pieces), most, AROUND, far_out, u)
     found = Pieces(*parts)
     return found.normalised(), float(found.w @ debt)
 
@@ -153,12 +152,12 @@ class GaussianPieces(Shape):
 
     @property
     def heaviest(self) -> Moments:
-        """Mean and covariance of the heaviest Gaussian with all that lie within `NEAR` of its widths."""
+        """Mean and covariance of the heaviest Gaussian with all that lie within `AROUND` of its widths."""
         w, middle, own = self.pieces.w, self.pieces.mean, self.pieces.cov
         mean, cov, found = middle[0], own[0], np.zeros(len(w), bool)
         for _ in range(ROUNDS):
             z = np.linalg.solve(np.linalg.cholesky(cov), (middle - mean).T)
-            near = np.sum(z**2, axis=0) < NEAR**2
+            near = np.sum(z**2, axis=0) < AROUND**2
             if np.array_equal(near, found):
                 break
             found = near

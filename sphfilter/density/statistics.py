@@ -27,8 +27,9 @@ from .weighted import WeightedStates
 if TYPE_CHECKING:
     from .particle_density import ParticleDensity
 
-_SUBPOINTS = 128  # points that stand for one kernel where an integral over it has no closed form
-FEW_SUBPOINTS = 16  # where the density at each is wanted
+#: Points that stand for one kernel where an integral over it has no closed form, and where the density at
+#: each is wanted: of as many at random its mean were known within 1 / √128 = .09 and 1 / √16 = .25 widths.
+_SUBPOINTS, FEW_SUBPOINTS = 128, 16
 #: Points of a distribution function in a smoothing length or a cell: in units of it Simpson's rule misses
 #: h^4 / 180 = 8e-8 of a fourth derivative, h = 1 / 16.
 _FINE = 16

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..config import FilterConfig
-from ..core.limits import ALIKE, LARGEST_EXPONENT
+from ..core.limits import ALIKE, LARGEST_EXPONENT, OUTLYING
 from ..density.defect import ROUGH
 from ..density.left_out import LeftOut
 from ..density.particle_density import ParticleDensity
@@ -19,7 +19,7 @@ from ..lattice.resolved import TOLERATED, Resolved
 from ..lattice.walls import moved_in
 from .by_cloud import by_cloud
 from .inherited import evidence_error_of, of_shape, shift_left_by_update
-from .reading_at_prior import OUTLYING, Posterior, ReadingAtPrior
+from .reading_at_prior import Posterior, ReadingAtPrior
 
 #: Deviations beyond particles to which a Gaussian's tail is trusted; measured: half changes no run.
 _TRUSTED_GAUSSIAN = 20.0

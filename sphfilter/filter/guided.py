@@ -28,7 +28,7 @@ from .bridged import bridged
 from .stacked import Stacked, Walked, seen
 from .tempered import tempered
 
-_NARROWEST = 1e-12  # part of a prior's variance that rounding leaves
+_NARROWEST = 1e-12  # part of a prior's variance that is rounding, of sums of 5,000 points: 5,000 eps = 1e-12
 
 
 def weighed(points: Points, sensor: Stacked, key: int) -> tuple[Carried, Points]:

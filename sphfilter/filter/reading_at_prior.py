@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from .._types import Bools, Floats, OfStates
 from ..config import FilterConfig
 from ..core.kalman import log_normal
-from ..core.limits import STEP, TINY
+from ..core.limits import OUTLYING, STEP, TINY
 from ..density.moments import moments
 from ..density.particle_density import ParticleDensity
 from ..errors import ModelError
@@ -20,7 +20,6 @@ from ..validate import state_rows
 
 #: A density after a reading, and fields of the info of that.
 Posterior: TypeAlias = tuple[ParticleDensity, dict[str, Any]]
-OUTLYING = 5.0  # standard deviations from its prediction: 2 Φ(-5) = 6e-7 of numbers read lie so far out
 #: Standard deviations of noise that some readings of nodes are bent by in a cell, where they are outlying
 #: for each other. Measured: half changes no run, twice errors by .8.
 _BENT = 1.0

@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike
 from .. import drawing
 from .._types import Bools, Floats, Readings
 from ..consistency.ranks import Ranker, gaussian_ranks
+from ..core.limits import OUTLYING
 from ..errors import ModelError
 from ..info import innovation_of
 from ..model.measurements import Reading
 from ..model.named import InputRecord, each_input
 from ..validate import array, onwards
-from .reading_at_prior import OUTLYING
 from .readings import rows_of
 
 #: What a run keeps only if it was told a truth.

@@ -21,8 +21,9 @@ from ..density.passage import normals, sub_key
 from ..density.points import Carried, Points
 from ..model.compile import surfacing
 
-#: Passes of N points in all, twenty times both of the guided ones; of these, such that draw from the prior,
-#: as long as they have fewer independent points than are enough: a draw adds points, a move parts copies.
+#: Passes of N points in all, twenty times both of the guided ones, 20 · 2 = 40; of these, such that draw from
+#: the prior, as long as they have fewer independent points than are enough: a draw adds points, a move parts
+#: copies.
 _PASSES, _DRAWS = 40, 28
 _MOVES = 3  # at each power: a third of moves is accepted, and (2/3)³ leaves one of two copies apart
 #: E-foldings to either side of steps tried: from e^-8 of the prior's width up to all of it; later, a factor.

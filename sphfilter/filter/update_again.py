@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from ..config import FilterConfig, LogDensityScheme
 from ..core.cloud.bridge import MORE as PIECES
-from ..core.cloud.control import WRONG, points_for
-from ..core.limits import EDGE, LARGEST_EXPONENT, LOOK, SAID
+from ..core.cloud.control import points_for
+from ..core.limits import EDGE, LARGEST_EXPONENT, LOOK, SAID, WRONG
 from ..core.step_control import HELPED, TRIES
 from ..density.as_family import may_miss
 from ..density.left_out import LeftOut, lacking

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..config import FilterConfig
 from ..core.cloud.control import points_for
+from ..core.limits import FAR
 from ..core.step_control import HELPED, MORE, TRIES
 from ..density.as_family import gaussians_of
 from ..density.memory import MISSED
@@ -32,9 +33,6 @@ _Read = tuple[ModeDensities, ModeDensities, ModesUpdateInfo]
 _COARSE = "steps of the jumps between modes leave {:.2g} of the posterior in doubt"
 _LATE = "no time to repeat the prediction before, in more steps of the jumps or with fewer Gaussians merged"
 _MERGED = "mergers of Gaussians leave {:.2g} nat of the log-evidence in doubt"
-#: Standard deviations of a reading from its prediction, beyond which mergers are not checked by their nodes,
-#: which end at √(5 + √10) = 2.86 of one state. Measured: half changes no run, twice an error by 2.2.
-_FAR = 3.0
 _IN_DOUBT = 0.05  # nats that mergers may change there; measured: half and twice change no run
 
 
@@ -95,7 +93,7 @@ def _finer(
             return read, in_doubt, code | Code.LATE
         # what steps get wrong falls as their square, or faster
         steps = min(math.ceil(steps * math.sqrt(max(off / target, MORE))), MOST_SUBSTEPS)
-        before, reach, apart = read[2].log_evidence, max(math.sqrt(far) / _FAR, 1.0), MORE * apart
+        before, reach, apart = read[2].log_evidence, max(math.sqrt(far) / FAR, 1.0), MORE * apart
         read, code = again(n_substeps=steps, apart=apart if far else 1.0, reach=reach), Code.REPEATED
         in_doubt = abs(read[2].log_evidence - before) if far else 0.0
         far = far if in_doubt > _IN_DOUBT else 0.0
@@ -145,9 +143,10 @@ def _far(
 ) -> float:
     """Square of a reading's distance from its prediction in a mode that it may be of, in standard deviations.
 
-    Where mergers change log p by its rms near the middle, they change it so many times more there. Zero where
-    the reading is near, or other densities than Gaussians were mixed. It may be of a mode that is left again
-    just before it comes, whatever mergers have left of that.
+    Where mergers change log p by its rms near the middle, they change it so many times more there:
+    nodes that check them end at √(5 + √10) = 2.86 of one state. Zero where the reading is not `FAR`
+    (measured: half of it changes no run, twice an error by 2.2), or other densities than Gaussians were
+    mixed. It may be of a mode that is left again just before it comes, whatever mergers have left of that.
     """
     model = prediction.model
     switches = model.transitions is not None or model.rates.any()
@@ -159,5 +158,5 @@ def _far(
         own = info.modes.get(name)
         if own is not None and own.innovation is not None and own.innovation_cov is not None:
             square = float(own.innovation @ np.linalg.solve(own.innovation_cov, own.innovation))
-            squares += [square] if share * square > _FAR**2 else []
+            squares += [square] if share * square > FAR**2 else []
     return max(squares)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from .._types import Bools, Floats
-from ..core.limits import ROUNDS, TINY
+from ..core.limits import LEAP, ROUNDS, TINY
 from .evidence import Evidence
 from .quadratic import (
     FIRST,
@@ -20,7 +20,6 @@ from .quadratic import (
 _LOOSE = 0.3  # nats in a simplex that are left to Newton; measured: half 1.0 times the runs, twice 1.2
 _POLISHED = 1e-5  # nats below the top that are enough in the end: √(2e-5) = .0045 standard errors
 _CLOSE = 2e-3  # nats below the top of the quadratic that are enough before slopes are polished: √(4e-3) = .06
-_LONGEST = 2.0  # standard errors that Newton's method goes at once; measured: half and twice change no fit
 ROUND = 0.05  # least curvature, over one in round coordinates; measured: half and twice change no fit
 #: Standard errors that are next to nothing: from a bound that an estimate is on, a maximum that is found, and
 #: from the top of a profile (NEAR² / 2 nats: the parabola tells the rest).
@@ -155,14 +154,13 @@ def polished(
 
 
 def _newton_step(local: Quadratic) -> tuple[Floats, Floats]:
-    """Step to the top of a quadratic, at most two standard errors, and coordinates in which it is round."""
+    """Step to the top of a quadratic, of at most `LEAP`, and coordinates in which it is round."""
     values, axes = np.linalg.eigh(local.hessian)
     bent = np.maximum(np.abs(values), ROUND)
     step = axes @ (axes.T @ local.gradient / bent)
     length = np.linalg.norm(np.sqrt(bent) * (axes.T @ step))
-    return local.root @ step * min(1.0, _LONGEST / max(float(length), TINY)), local.root @ (
-        axes / np.sqrt(bent)
-    )
+    step = local.root @ step * min(1.0, LEAP / max(float(length), TINY))
+    return step, local.root @ (axes / np.sqrt(bent))
 
 
 def _line(evidence: Evidence, theta: Floats, value: float, free: Bools, step: Floats) -> tuple[Floats, float]:
@@ -201,7 +199,7 @@ def ridge(evidence: Evidence, theta: Floats, free: Bools, covariance: Floats, k:
         if rise < 0.5 * NEAR**2:
             return value + rise
         there = theta.copy()
-        there[free] += root @ (gradient * min(1.0, _LONGEST / float(np.linalg.norm(gradient))))
+        there[free] += root @ (gradient * min(1.0, LEAP / float(np.linalg.norm(gradient))))
         moved = evidence(there)
         if moved <= value:
             break

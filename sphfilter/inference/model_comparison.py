@@ -46,19 +46,15 @@ class ModelComparison:
 
     Examples
     --------
-    >>> import numpy as np
     >>> import sphfilter as sf
-    >>> model = sf.SDE.from_expressions(["x"], ["-a*x"], [["1"]], parameters={"a": 0.6})
-    >>> level = sf.GaussianMeasurement(h=[[1.0]], noise_cov=[[0.1]])
-    >>> times = 0.4 * np.arange(1, 31)
-    >>> _, z = sf.simulate(model, level, x0=[0.0], times=times, rng=3)
-    >>> flt = sf.SPHFilter(model, level, x0=[0.0], P0=[[0.1]])
-    >>> wanders = sf.SPHFilter(model.with_parameters(a=0.0), level, x0=[0.0], P0=[[0.1]])
-    >>> found = sf.compare_models({"wanders": wanders, "returns": flt}, times, z)
+    >>> level, start = sf.GaussianMeasurement([[1.0]], [[0.1]]), ([0.0], [[0.1]])
+    >>> rates = {"wanders": [[0.0]], "returns": [[-2.0]]}
+    >>> rivals = {k: sf.SPHFilter(sf.LinearSDE(A, noise=[[1.0]]), level, *start) for k, A in rates.items()}
+    >>> found = sf.compare_models(rivals, [1.0, 2.0, 3.0, 4.0], [0.4, -0.2, 0.3, 0.1])
     >>> for name, factor, word in zip(found.names, found.log_bayes_factor, found.words):
     ...     print(f"{name}: {factor:.1f} nat, {word}")
     returns: 0.0 nat, the best
-    wanders: -2.1 nat, positive
+    wanders: -2.3 nat, positive
     """
 
     names: tuple[str, ...]

@@ -7,7 +7,7 @@ import numpy as np
 
 from .._types import Floats
 
-_SAMPLES = 1024  # at which a condition is looked at for changes of its sign, over any interval
+_SAMPLES = 1024  # of a condition's sign in an interval: changes 1 / 1024 = .001 of it apart may be missed
 _BESIDE = 64 * float(np.finfo(float).eps)  # of a time, relative: farther than its rounding in a step
 
 

@@ -6,8 +6,9 @@ from dataclasses import replace
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from ..config import AnyConfig, CloudScheme
+from ..core.limits import ADDED
 from ..core.step_control import HELPED, MORE, TRIES
-from ..density.memory import AIMED, error_budget
+from ..density.memory import error_budget
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
 from ..info import Code, PredictInfo, UpdateInfo
@@ -153,8 +154,12 @@ class Time(NamedTuple):
     fits: Callable[[int], bool] = lambda n_particles: True
 
     def for_lattices(self, density: ParticleDensity, target: float) -> float:
-        """Error by which the lattices of a prediction choose their nodes; zero where time chooses them."""
-        return error_budget(density.error, target, AIMED) if self.most >= MOST else 0.0
+        """Error by which the lattices of a prediction choose their nodes; zero where time chooses them.
+
+        Where the past uses up the target, and readings forget little of it, a lattice may add `ADDED`, and
+        half of that is not tried again. Measured: half and twice change no run.
+        """
+        return error_budget(density.error, target, ADDED) if self.most >= MOST else 0.0
 
 
 #: No time budget.

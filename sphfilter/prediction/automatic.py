@@ -18,7 +18,7 @@ from ..density.quasi_random import FEW_STATES, systematic
 from ..density.resample import no_weight, times_likelihood
 from ..density.statistics import FEW_SUBPOINTS
 from ..errors import LatticeError, PropagationError, UnresolvedError
-from ..info import Code
+from ..info import WITHIN, Code
 from ..model.sde import SDE
 from . import cloud, log_density, paper
 from ._shared import Predicted, carried_off
@@ -30,7 +30,7 @@ MOST_FINER = 30_000
 #: Plain sums over kernels, for domains whose ends other schemes do not know.
 SUMMED = PaperScheme(kernel="wendland_c2")
 _MOST_STATES = 4  # of which a lattice is tried again
-_AGREES, _LEAST_ERROR, _RESIDUAL = 3.0, 0.005, 0.1  # for a lattice to stand for a cloud
+_LEAST_ERROR, _RESIDUAL = 0.005, 0.1  # for a lattice to stand for a cloud
 
 
 def propagate(
@@ -103,7 +103,7 @@ def _on_lattice(
     wider = np.abs(root @ laid.cov() @ root.T - np.eye(density.dim)).max()
     X, _ = few.form.states(FEW_SUBPOINTS, True)
     residual = np.mean(np.abs(np.expm1(np.clip(laid.logpdf(X) - few.logpdf(X), -1.0, 1.0))))
-    if max(off, 0.5 * wider) > _AGREES * max(density.error, _LEAST_ERROR) or residual > _RESIDUAL:
+    if max(off, 0.5 * wider) > WITHIN * max(density.error, _LEAST_ERROR) or residual > _RESIDUAL:
         return None
     error = math.hypot(density.error, float(off))
     return laid.noted(error=error, lost=density.lost, capacity=density.capacity)

@@ -12,14 +12,12 @@ from .._types import Floats, Ints
 from ..core.cloud.ahead import LEAST, expected, fitted, led
 from ..core.cloud.blocks import block_roots, blocks_of, centres
 from ..core.cloud.pace import Steps
+from ..core.limits import FAR
 from ..density.moments import columns
 from ..density.passage import Transitions, along, stored_key
 from ..density.quasi_random import even, systematic
 from ..model.dynamics import Dynamics
 
-#: Standard deviations of a region, by which λ may shift it: none has points much farther out. Measured: half
-#: and twice leave .9 to 1.06 of the errors of means.
-_FAR = 3.0
 #: What linearisation leaves on average over blocks, in standard deviations of the noise, up to which an
 #: interval is one leg. Measured: at .13 and .05 means of two wells are .027 and .014 off.
 _BENT = 0.05
@@ -146,14 +144,17 @@ def _looked_at(ends: tuple[Floats, Floats, Ints], later: Said) -> tuple[tuple[Fl
 
 
 def _shifted(centre: Floats, cov: Floats, own: Floats, fits: Floats) -> tuple[Floats, Floats]:
-    """Centres and covariances of regions with λ in them."""
+    """Centres and covariances of regions with λ in them, shifted by `FAR` at most: none has points farther.
+
+    Measured: half and twice of that leave .9 to 1.06 of the errors of means.
+    """
     n, root = centre.shape[1], rooted(cov)
     g, H = _bounded(own, fits)
     w, V = np.linalg.eigh(np.eye(n) - np.swapaxes(root, 1, 2) @ H @ root)
     new = _squares(root @ V / np.sqrt(np.maximum(w, LEAST))[:, None, :])
     shift = np.einsum("bac,bc->ba", new, g)
     far = np.linalg.norm(np.linalg.solve(root, shift[:, :, None]), axis=1)
-    return centre + shift * np.minimum(_FAR / np.maximum(far, _FAR), 1.0), new
+    return centre + shift * np.minimum(FAR / np.maximum(far, FAR), 1.0), new
 
 
 def _bounded(own: Floats, fits: Floats) -> tuple[Floats, Floats]:

@@ -18,7 +18,7 @@ from ..core.cloud.control import (
 )
 from ..core.cloud.lineages import outermost
 from ..core.cloud.pace import FIRST_TRIED, MOST_LOST, Bias, Steps
-from ..core.cloud.weights import AWAY, any_beyond, compared, near_others
+from ..core.cloud.weights import any_beyond, compared, near_others
 from ..core.limits import LOOK, SAID
 from ..density.as_cloud import cloud_of
 from ..density.as_family import moments_on_line
@@ -245,7 +245,7 @@ def _enough(steps: int, most: int, span: tuple[float, float]) -> int:
 
 def without_runaways(points: Points, domain: Domain | None) -> tuple[Points, float]:
     """The points without weight where they ran away or left a bounded axis; and what that was."""
-    alive, every = near_others(columns(points.x), AWAY)
+    alive, every = near_others(columns(points.x))
     if every and domain is None:
         return points, 0.0
     if domain is not None:

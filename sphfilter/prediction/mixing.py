@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 from .._types import Floats, OfStates
 from ..core.cloud.control import MOST_POINTS, power_of_two
 from ..core.family.rules import degrees
-from ..core.limits import LITTLE
+from ..core.limits import FAR, LITTLE
 from ..core.step_control import HELPED
 from ..density.as_cloud import cloud_density
 from ..density.as_family import as_polynomials, family_density, gaussians_of, moments_on_line, pieces_density
@@ -34,10 +34,10 @@ from ..lattice.level_set import lattice_depth, lay, min_nodes, root_of
 from ..lattice.resolved import MOST
 from .ladder import first_degree, prefers_cloud
 
-_AWAY = 3.0  # standard deviations at which what is lost may lie: 2 Φ(-3) = .003 of a Gaussian lies beyond
 _MOMENTS = ParticleDensity.mean, ParticleDensity.cov
-_MOST_PIECES, _COARSER = 200, 5  # of a sum, and times that it may change more until it has no more
-_TRIES = 6  # lattices, each of twice the nodes of the one before
+#: Gaussians of a sum, and tries of letting it change four times more until it has no more: 4⁵ = 1,024.
+_MOST_PIECES, _COARSER = 200, 5
+_TRIES = 6  # lattices, each of twice the nodes of the one before: up to 2⁵ = 32 times the first
 _SEEDS = 1e-4  # of the heaviest node of a part: those by which a lattice finds all of its pieces
 
 
@@ -67,7 +67,7 @@ def mixed(parts: Sequence[Part], target: float, errors: Allowed) -> ParticleDens
     allowed = errors.by_mergers
     parts, lost = _heavy(_joined(parts), allowed)
     w = np.exp([part.log_w for part in parts])
-    error = math.hypot(math.sqrt(float(w @ [part.density.error**2 for part in parts])), _AWAY * lost)
+    error = math.hypot(math.sqrt(float(w @ [part.density.error**2 for part in parts])), FAR * lost)
     first = parts[0].density
     if len(parts) == 1:
         return first.noted(error=error)
@@ -107,7 +107,7 @@ def _heavy(parts: list[Part], allowed: float) -> tuple[list[Part], float]:
     """The parts but for the lightest, and the probability of those."""
     w = np.exp([part.log_w for part in parts])
     means, covs = (np.array([f(part.density) for part in parts]) for f in _MOMENTS)
-    heavy = ~light(w, means, covs, LITTLE * allowed, _AWAY)
+    heavy = ~light(w, means, covs, LITTLE * allowed, FAR)
     scale = math.log(w[heavy].sum())
     left = [part._replace(log_w=part.log_w - scale) for part, kept in zip(parts, heavy, strict=True) if kept]
     return left, float(w[~heavy].sum())
@@ -139,10 +139,10 @@ def _as_pieces(parts: Sequence[Part], about: ParticleDensity, errors: Allowed) -
             return None
         several.append(pieces._replace(log_w=pieces.log_w + part.log_w))
     union = Pieces(*(np.concatenate(part) for part in zip(*several, strict=True))).normalised()
-    kept = union.heavy(LITTLE * errors.by_mergers, _AWAY)
+    kept = union.heavy(LITTLE * errors.by_mergers, FAR)
     lost = float(union.w[~kept].sum())
     pieces, change = _few(union.some(kept).normalised(), errors.by_mergers / OF_CHANGE, errors.reach)
-    error = math.hypot(about.error, OF_CHANGE * change, _AWAY * lost)
+    error = math.hypot(about.error, OF_CHANGE * change, FAR * lost)
     return pieces_density(about, pieces, error=error).noted(needs=about.needs)
 
 

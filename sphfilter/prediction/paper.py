@@ -29,7 +29,7 @@ from ._shared import Predicted, blow_up, skip_notes
 #: count never changes a bit of the result.
 PARALLEL_FROM = 2000
 _PAUSE_AFTER = 2000  # steps between two chances to be interrupted
-_TIME_SLICES = 100  # steps at least over an interval, where drift or noise change with time
+_TIME_SLICES = 100  # steps at least, where drift or noise change with time: a sine turns by 2π/100 = .06
 _RUN_AWAY = 1e3  # extents of the cloud
 
 

@@ -17,7 +17,7 @@ from .automatic import SUMMED
 from .log_density import why_not
 
 _NUDGE = 1e-6  # standard deviations, of a difference that rounding gets wrong by eps / _NUDGE = 2e-10
-_MOST_LOOKS = 100  # while the time that is left shrinks by a factor e
+_MOST_LOOKS = 100  # while the time that is left shrinks by a factor e: (1 - 1/100)^100 = .37 = 1/e
 _ON_TIME = 1e-9  # of the seconds between two lattices: the rounding of k of them, k eps, with k = 5 million
 
 

@@ -8,10 +8,10 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from .._types import Floats
-from ..core.limits import LOOK
+from ..core.limits import ENTRIES, LOOK
 from ..density.as_family import moments_on_line
 from ..density.modes import ModeDensities, SplittingError, no_ripple
-from ..density.pieces import ENTRIES, Pieces
+from ..density.pieces import Pieces
 from ..density.quasi_random import net
 from ..lattice.level_set import root_of
 from ..model.discretization import exponential

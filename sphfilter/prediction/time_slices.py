@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from .._types import BatchFunction, Floats
-from ..core.limits import LOOK, SAID
+from ..core.limits import LITTLE, LOOK, SAID
 from ..density.particle_density import ParticleDensity
 from ..model.compile import surfacing
 from ..model.derived import scales
@@ -15,7 +15,6 @@ from ..model.sde import SDE
 #: K divides k: from two of the primes at once not before k = 17 · 37 = 629.
 _SLICES = (1, 2, 3, 5, 9, 17, 37, 79, 167, 347, 709)
 _FINE = _SLICES[-2]  # a pulse of a hundredth of the interval has 347 / 100 = 3.5 of its times
-_ERROR = 1e-3  # of an integral up to any time, by the middles of the steps
 
 
 def noise_samples(model: SDE, t0: float, t1: float, around: Floats | None = None) -> tuple[Floats, int]:
@@ -73,7 +72,7 @@ def _of_noise(D: Floats) -> tuple[Floats, float]:
     return scaled, float(np.abs(scaled).mean(axis=0).max())
 
 
-def _slices(values: Floats, size: float, slices: tuple[int, ...], error: float = _ERROR) -> int:
+def _slices(values: Floats, size: float, slices: tuple[int, ...], error: float = LITTLE * SAID) -> int:
     """The fewest steps whose middles have the running integral of values (S, ...), as all more of them do."""
     whole, fewest = _running(values), slices[-1]
     for count in (count for count in reversed(slices) if count < _FINE):

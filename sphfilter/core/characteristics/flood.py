@@ -27,7 +27,7 @@ from .expectation import BACK, STEP
 
 _TRIES = 6
 _MANY = 4  # states, of which nodes beside a lattice are most: one path has to do for them
-_FILL = 0.85  # nodes aimed at, over those allowed
+_FILL = 0.85  # nodes aimed at, over those allowed: volumes may be off by 1 / .85 = 1.18
 _SOFT = 1.5  # times the nodes asked for, that there may be where an error is aimed at
 
 

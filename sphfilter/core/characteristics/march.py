@@ -51,10 +51,10 @@ from .step_choice import CHOOSE
 from .step_limits import noise_limit
 
 _MOST = 1e-2  # residual that steps go by where the lattice's own is larger
-_UNDOUBTED = 5.0  # times what may be lost, where no error is seen
+_UNDOUBTED = 5.0  # times what may be lost, where no error is seen: 5 · .01 = .05 of the mass, by default
 _UNSEEN = 0.1  # variance of a step's noise, in units of the lattice, below which shorter steps gain nothing
 _PATIENCE, _GROWING = 10, 1.5  # steps that hardly grow, after which one as long as any may grow is tried
-_FORGOTTEN = 0.95  # of the floor, that is left after a step
+_FORGOTTEN = 0.95  # of the floor, that is left after a step: half of it after 14, .95^14 = .49
 _AGAIN = 2.0  # times what is aimed at, for which a lattice is laid again
 _OVERDRAWN = 0.3  # of an even share, that is left to the rest of an interval at least
 ORDER = 5.0  # of a lattice's residual in its spacing: polynomials of degree 4 leave h^5

@@ -7,10 +7,10 @@ import math
 
 from numba.extending import register_jitable
 
-from ..limits import ALIKE, LOOK, TINY
+from ..limits import ADDED, ALIKE, LOOK, TINY, WRONG
 from ..step_control import MORE
 
-SHADOW = 8  # points of a cloud over those of its shadow, which costs an eighth of the time
+SHADOW = 8  # points of a cloud over those of its shadow: an eighth of the time, 8^.6 = 3.5 times the error
 STEPS_ORDER = 3.0  # of the steps' bias, of additive noise: measured by tests/core/test_cloud_core.py
 _ORDER = 0.6  # of errors in the number of points: measured as .45 to .82, .61 on average (CLOUD.md)
 _NEW = 0.4  # weight of the last squared difference; measured: half, twice change evaluations by .09 at most
@@ -20,9 +20,6 @@ _FEWER = (1.0 + SHADOW**_ORDER) ** (1.0 / STEPS_ORDER)
 #: Error of a mean over that of as many points drawn at random: .3 to .65 after first readings of 90 random
 #: models. So much it is at least of few among many. Measured: with half errors are up to 1.6 times as large.
 _OF_RANDOM = 0.5
-#: Of the error that points have, up to which steps may be off: what they add, a cloud and its shadow share,
-#: and modes keep it for many readings. Measured: half takes 1.2 to 1.65 times the evaluations, twice .7 to 1.
-_PART = 1.0 / 4.0
 #: Times what one reading shows, squared, that those before it may tell: by chance one of 140 shows so little
 #: that a third is told, of two numbers that are pooled: 1 - exp(-1 / (9 * 16)) = .007.
 _AT_MOST = 16.0
@@ -36,15 +33,14 @@ MOST_POINTS = 2**17
 #: states), with 256 in five and six states 2 to 4 times (`experiments benchmark`).
 _OF_SHADOW = 21
 #: Part of points below which carriers are few: the way piece by piece, at six times the cost, divides errors
-#: by five.
+#: by five; as many times the points divide them by 6^.6 = 2.9.
 _FEW = 0.25
 #: What points lose of their carriers along that way; the part of points below which tempering is tried, at
 #: twenty times the cost.
 _LOST, _THIN = 2.0, 1.0 / 16.0
 _ENOUGH = 50.0  # independent points, of which a mean has an error of 1 / √50 = .14
-_FAR_MORE = 2.0  # times the carriers of one way, by which another is better
+_FAR_MORE = 2.0  # times the carriers of one way, by which another is better: 1 / √2 = .7 of its errors
 _NEXT_TO_NONE = 16.0  # of as many, evidence is 1 / √16 = .25 nats off, and weights' own number is believed
-WRONG = 0.2  # of a variance, off by which it is said to be at usual targets
 _SETTLED = 3  # readings before there are more again; measured: with 2 modes of tests/filter miss .01
 _PATIENCE = 2  # readings that ask for fewer before there are; measured: errors up to 1.7 times with 4
 
@@ -192,16 +188,18 @@ def evidence_error(square, found, size, n):
 def bias_allowed(error, count, inherited, most, target, legs):
     """Bias that steps of one of several predictions may have, beside the error of the points, or NaN.
 
-    All in standard deviations; `most` is an error in which nothing is right.
+    All in standard deviations; `most` is an error in which nothing is right. What steps add, a cloud and its
+    shadow share, and modes keep it for many readings: measured, half of `ADDED` takes 1.2 to 1.65 times the
+    evaluations, twice .7 to 1.
     """
     error = _USUAL / math.sqrt(count) if error != error else error
-    return _PART * max(min(both(error, inherited), most), target) / legs
+    return ADDED * max(min(both(error, inherited), most), target) / legs
 
 
 @register_jitable
 def over_allowed(bias, allowed, n):
     """How many times what is allowed of n states a `Bias` of steps is."""
-    return decisive(bias.mean, bias.variance, allowed / _PART, n) / allowed
+    return decisive(bias.mean, bias.variance, allowed / ADDED, n) / allowed
 
 
 @register_jitable

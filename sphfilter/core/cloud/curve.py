@@ -6,14 +6,12 @@ from functools import cache
 import numpy as np
 
 from .._jit import jit
-from ..limits import TINY
+from ..limits import AROUND, TINY
 from ..small_matrices import cholesky, invert_lower
 from .weights import weighted_moments
 
 #: Bits of a cell's number along each state: places of 4 bytes in tables of at most 2^20 = 4 MB.
 _BITS = {1: 12, 2: 8, 3: 6, 4: 4, 5: 4, 6: 3}
-#: Standard deviations to either side that cells tell apart: 2 (1 - Φ(2.5)) = 1.2 % lie in the outermost ones.
-_REACH = 2.5
 _LEAST = float(np.finfo(float).eps)  # distance of points from the ends of the unit cube
 
 
@@ -87,8 +85,11 @@ def ordered(x, mean, cov, table, bits):
 
 @jit
 def _cells(x, mean, white, top):
-    """Numbers (N,) of the cells, so many along each state, in which points x (n, N) lie, whitened."""
-    (n, N), scale = x.shape, 0.5 * top / _REACH
+    """Numbers (N,) of the cells, so many along each state, in which points x (n, N) lie, whitened.
+
+    Cells tell apart what lies `AROUND` the mean, and the outermost ones have the rest.
+    """
+    (n, N), scale = x.shape, 0.5 * top / AROUND
     cell, z = np.zeros(N, np.int32), np.empty(N)
     for a in range(n):
         for i in range(N):

@@ -22,7 +22,7 @@ from .reader import NET, WAY, Part, Reader
 from .reading import foreseen, weigh
 from .steps import LEG
 from .way import begin, carry, carry_linear
-from .weights import AWAY, any_beyond, compared, effective, near_others, systematic, taken, weighted_moments
+from .weights import any_beyond, compared, effective, near_others, systematic, taken, weighted_moments
 
 #: How a record ends: all is put through; the next cloud has another number of points; what the last reading
 #: left is to be judged, or has missed; the next one is unusual, and is not put through.
@@ -269,7 +269,7 @@ def _cycled(about, cloud, keys, curve):
     moved = Part(middle, end, flow, lower, rows)
     way = reader, leg, linear, key, start, y, w, block, kernel, moved, u, v
     z, log_w, ancestor, wrong = y, np.full(count, -np.inf), np.empty(0, np.int64), 1
-    if near_others(y, AWAY)[1]:  # else what reads may be asked where no state is
+    if near_others(y)[1]:  # else what reads may be asked where no state is
         z, log_w, ancestor, wrong = _weigh_at(parts[3])(way, (nets[0], nets[1], nets[2]), keys[1])
     carried, number = _carried_at(parts[4]), effective(w)
     found = Carried(*carried(z, log_w, ancestor, w, older))

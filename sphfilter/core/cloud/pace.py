@@ -6,16 +6,16 @@ from typing import NamedTuple
 import numpy as np
 
 from .._jit import jit
-from ..limits import LOOK, ROUNDING, TINY
+from ..limits import LOOK, ROUNDING, TINY, WRONG
 from ..small_matrices import add_squared, product
 from ..step_control import HELPED, MORE
-from .control import SHADOW, STEPS_ORDER, WRONG, over_allowed
+from .control import SHADOW, STEPS_ORDER, over_allowed
 from .curve import along_curve
 from .move import over
 from .noise import LANES, OF_STATE, fill_noise, mixed
 from .steps import GIVEN, LEFT, new_room, same_path, walk
 from .way import PILOT
-from .weights import AWAY, eighths, finite_rows, systematic, taken
+from .weights import eighths, finite_rows, systematic, taken
 
 #: Groups of the points that tell the bias of steps; where what they show may be chance, more are asked, up to
 #: as many as a shadow has, as long as that costs less than the steps that chance would ask for.
@@ -174,7 +174,7 @@ def thrown(coarse, fine, w):
         spread = max(last - first, ROUNDING * abs(first), TINY)
         low, high = np.inf, -np.inf
         for i in range(K):
-            if abs(fine[i, a] - first) < AWAY * spread:  # else it is given up
+            if abs(fine[i, a] - first) < spread / ROUNDING:  # else it is given up
                 low, high = min(low, fine[i, a]), max(high, fine[i, a])
         for j in range(K - w.size, K):
             gone |= not abs(2.0 * fine[j, a] - low - high) <= 3.0 * (high - low)
@@ -208,7 +208,7 @@ def parted(coarse, fine, ends):
     for g in range(groups):
         for a in range(n):
             low, high, count = ends[g, a, 0], ends[g, a, 1], ends[g, a, 2]
-            reach = AWAY * (high - low) + abs(low) + abs(high)
+            reach = (high - low) / ROUNDING + abs(low) + abs(high)
             if count < (1.0 - 2.0 * MOST_LOST) * size:
                 return np.inf, 0.0
             count, mean, square, off, scatter, together = 0, 0.0, 0.0, 0.0, 0.0, 0.0

@@ -13,8 +13,6 @@ from ..sums import dot, summed
 from .blocks import about, squares
 from .noise import LANES
 
-AWAY = 1.0 / ROUNDING  # extents, from which a point has run away: AWAY² = 1 / eps leaves others no digit
-
 
 @jit
 def weighted_moments(X, w, mean, cov):
@@ -120,16 +118,17 @@ def any_beyond(few, x):
 
 
 @jit
-def near_others(x, away):
-    """Which of points x (n, N) lie no farther off than `away` times the extent of all; and whether all do.
+def near_others(x):
+    """Which of points x (n, N) lie so near that others have digits beside them; and whether all do.
 
+    Farther off than the extent of all over `ROUNDING` a point has run away: its square leaves others none.
     The extent is that between an eighth and seven of the values of a few dozen of them.
     """
     (n, N), every = x.shape, True
     near = np.ones(N, np.bool_)
     for a in range(n):
         low, high, _ = eighths(x[a], max(N // LOOK, 1))
-        reach, beyond = away * (high - low) + abs(low) + abs(high), 0
+        reach, beyond = (high - low) / ROUNDING + abs(low) + abs(high), 0
         for i in range(N):
             beyond += not low - reach <= x[a, i] <= high + reach
         every &= beyond == 0

@@ -16,7 +16,7 @@ _AT_ONCE = 64
 _BEYOND = 1.6  # standard deviations beyond √n: P(χ_n > √n + 1.6) = .009 to .012 of a Gaussian lies there
 #: Least singular value of polynomials that nodes tell apart; measured: all are above .001 or below 1e-13.
 _TOLD_APART = 1e-6
-_FALL = 0.15  # least fall of log p out there, a square of a deviation
+_FALL = 0.15  # least fall of log p out there, a square of a deviation: of a variance of 1 / (2 · .15) = 3.3
 
 
 class Basis(NamedTuple):

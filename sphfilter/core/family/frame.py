@@ -9,9 +9,6 @@ from ..limits import LOG_2_PI
 from ..small_matrices import eigen, product
 from .basis import values_at
 
-#: Of moments in a frame: so far it follows a density at once, and from there on it knows nothing of it.
-FAR = 3.0
-
 
 @jit
 def inverse(A, out):

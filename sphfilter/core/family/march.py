@@ -7,10 +7,10 @@ import numpy as np
 
 from .. import dormand_prince as dp
 from .._jit import jit
-from ..limits import TINY
+from ..limits import FAR, TINY
 from ..small_matrices import moments
-from ..step_control import GROW, SHRINK, next_step
-from .frame import FAR, inverse, moved, refitted, reframed, root_between, weigh
+from ..step_control import GROW, next_step
+from .frame import inverse, moved, refitted, reframed, root_between, weigh
 from .rates import DEFECT, RATES, multiplied, work
 
 OK, STALLED, TOO_MANY, NOT_FINITE, ASTRAY = range(5)
@@ -215,7 +215,7 @@ def _norm(own, n, d):
 
 @jit
 def _follow(basis, beyond, y, defect, least):
-    """Move the frame to the density where it is off by more than `least`; 1 if it was, -1 if that fails."""
+    """Move the frame to the density where it is off by more than `least`; 1 if it was, -1 if that is far."""
     N, n = basis.xi.shape
     mu, A, c = y[:n], y[n : n + n * n].reshape((n, n)), y[n + n * n :]
     T, w, b, C, root = np.zeros(N), np.empty(N), np.empty(n), np.empty((n, n)), np.empty((n, n))
@@ -229,7 +229,7 @@ def _follow(basis, beyond, y, defect, least):
         return -1
     if off <= least:
         return 0
-    root_between(C, SHRINK, GROW, root)
+    root_between(C, 1.0 / GROW, GROW, root)
     reframed(basis, mu, A, c, b, root)
     refitted(beyond, defect[: beyond.V.shape[0]], b, root)
     return 1

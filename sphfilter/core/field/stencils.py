@@ -30,7 +30,7 @@ class Stencils(NamedTuple):
 
 def _neighborhoods(n):
     """(offsets, degree, with mixed cubic terms) by level; each holds the one before."""
-    reach = {1: 3, 2: 2}.get(n, 2)
+    reach = 3 if n == 1 else 2
     g = np.array([o for o in itertools.product(range(-reach, reach + 1), repeat=n) if any(o)])
     r2, axes, widest = (g**2).sum(1), (g != 0).sum(1), np.abs(g).max(1)
     if n == 1:
