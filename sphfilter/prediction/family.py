@@ -26,7 +26,7 @@ from ..model.sde import SDE
 from ._shared import Predicted, blow_up, skip_notes
 from .time_slices import drift_slices, noise_samples
 
-_OF_STEPS = 0.3  # part of the errors of the steps, that errors are estimated by
+_OF_STEPS = 0.3  # part of the steps' errors that is told; measured: half, twice change no mean of six scenes
 _STATES = 512  # on one side of a well; measured: times are good to .03 (tests/prediction/test_escape.py)
 _FAR = 3.0  # times the edge of a density, where wells are looked for: of U ≈ d² / 8, e^-40 leaves by then
 _NOT_FOLLOWED = (

@@ -57,7 +57,7 @@ BOUNDS = {
     "  longer than 40 lines": 14,
     "  with more than 8 arguments": 10,
     "module-level numbers": 346,  # smoothing on clouds 12, draws of parameters 6, the command 5
-    "  without derivation or measurement": 63,
+    "  without derivation or measurement": 55,
     "places that ask which representation": 9,
     "  files with such places": 7,
     "floors of imports": 30,  # the command stands on fits and forecasts
