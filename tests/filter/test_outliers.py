@@ -46,6 +46,30 @@ def test_an_outlier_is_flagged_and_what_it_leaves_is_told(text, record, target):
     assert info.error < 3.0 * target  # two readings later
 
 
+@pytest.mark.parametrize("n", [2, 3])
+def test_what_an_outlier_leaves_is_told_as_a_kalman_filter_knows_it(n):
+    """Ten linear models, the third of six readings 7 to 11 deviations off, forced clouds of 1,024 points."""
+    sensor, squares = sf.GaussianMeasurement(np.eye(n)[:1], [[0.1]]), np.zeros((6, 2))
+    cloud = sf.FilterConfig(scheme=sf.CloudScheme(n_points=1024))
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        rates, mixed = rng.uniform(0.3, 1.5, n), 0.3 * rng.standard_normal((n, n))
+        model = sf.LinearSDE(mixed - np.diag(rates), noise=np.diag(rng.uniform(0.3, 0.8, n)))
+        about = model, sensor, np.zeros(n), 0.5 * np.eye(n)
+        flt, exact = sf.SPHFilter(*about, config=cloud), sf.SPHFilter(*about)
+        for k in range(6):
+            for each in (flt, exact):
+                each.predict(1.0)
+            far = rng.choice([-1.0, 1.0]) * rng.uniform(7.0, 11.0) if k == 2 else rng.standard_normal()
+            z = [exact.x[0] + np.sqrt(exact.P[0, 0] + 0.1) * far]
+            told, _ = flt.update(z).error, exact.update(z)
+            off = np.linalg.solve(np.linalg.cholesky(exact.P), flt.x - exact.x)
+            squares[k] += off @ off / n, told**2
+    made, told = np.sqrt(squares.T)
+    assert np.all(made < told)
+    assert np.all(told < 3.0 * made)
+
+
 @pytest.mark.parametrize("k", [-0.3, 0.2, 0.5, 0.9, 1.5])
 def test_the_index_of_a_tail_is_found(k):
     u = (np.arange(4000)[::-1] + 0.5) / 4000.0
