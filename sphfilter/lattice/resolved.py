@@ -256,6 +256,8 @@ def _tries(
     highest = values.max()
     deeper = max(depth, min(highest - _level(values, parts), 3.0 * depth))
     X = X[values > highest - deeper]
+    if not len(X):  # a likelihood that is nothing at all peaks, where a few nats make no difference
+        return
     for times in TIMES if search.finer else TIMES[:1]:
         if times * n_particles > MOST or (times == 1 and len(parts) == 1):
             continue

@@ -437,6 +437,14 @@ def test_problems_that_once_ended_with_a_matrix_error_are_followed(pair):
     assert record_of(replace(RandomCase(*pair).problem(), n_particles="auto")).end == "finished"
 
 
+def test_a_reading_that_no_peak_explains_is_flagged_on_few_nodes():
+    """A quantised sensor without noise: its likelihood is zero at all peaks that are looked for."""
+    problem = RandomCase(65537, 4).problem()
+    flt = sf.SPHFilter(problem.model, None, problem.x0, problem.P0, t0=problem.t0, n_particles=200)
+    flt.predict(t=problem.times[0])
+    assert flt.update(problem.z[0][0], problem.readers[0].sensor).flagged
+
+
 def test_a_tail_that_the_next_reading_asks_for_is_not_lost():
     """Cubes read of a state near zero leave a plateau; without its tail a family was off by .12."""
     problem = replace(RandomCase(31, 8).problem(), n_particles="auto")
