@@ -151,8 +151,8 @@ def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[Dynamics
     size = arrays["size"].item() or len(points.w)  # older files have none where a reading began the cloud
     inherited, age = float(arrays.get("inherited", 0.0)), int(arrays.get("age", 0))  # older files have none
     origin = _origin_from(part("origin", arrays)) if "origin.mu" in arrays else None
-    about_it = pace, inherited, age, origin, float(arrays.get("missed", 0.0))
-    return _as_cloud(CloudState(points, shadow, size, Told(*arrays["told"].tolist()), *about_it), about)
+    told, missed = Told(*arrays["told"].tolist()), float(arrays.get("missed", 0.0))
+    return _as_cloud(CloudState(points, shadow, size, told, pace, inherited, age, origin, missed), about)
 
 
 def _as_cloud(state: CloudState, about: dict[str, Any]) -> ParticleDensity:

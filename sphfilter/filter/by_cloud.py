@@ -8,7 +8,7 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme, FilterConfig
-from ..core.cloud.control import errors_told, evidence_error, hidden, wrong_beside
+from ..core.cloud.control import errors_told, evidence_error, shown, wrong_beside
 from ..core.cloud.pace import Steps
 from ..core.limits import LITTLE
 from ..density.as_cloud import cloud_of
@@ -69,16 +69,14 @@ class CloudReading(NamedTuple):
     log_evidence: float
     evidence_error: float
     own: float  # error of the mean that is its own
-    hidden: float  # part of that, which its shadow has, too
+    shown: float  # part of that, which its shadow shows, and steps: the rest it has, too
     of_variance: float  # error of the variances that is
 
     @property
     def error(self) -> float:
         """Error of the mean, in standard deviations, with what was wrong before there were points."""
-        own, missed = self.own, self.state.missed
-        if missed > self.hidden:  # of the same few points: the larger one
-            own = math.hypot(math.sqrt(max(own**2 - self.hidden**2, 0.0)), missed)
-        return math.hypot(own, self.state.inherited)
+        of_few = math.hypot(self.shown, self.state.missed)  # of which the own may be as well: the larger one
+        return math.hypot(max(self.own, of_few), self.state.inherited)
 
     @property
     def variance_error(self) -> float:
@@ -88,8 +86,8 @@ class CloudReading(NamedTuple):
 
     def left(self, flagged: float) -> CloudState:
         """What goes on: of an error that is flagged, the next readings inherit what no shadow shows later."""
-        missed = max(self.state.missed, self.hidden if self.own > flagged else 0.0)
-        return self.state._replace(missed=missed)
+        hidden = math.sqrt(max(self.own**2 - self.shown**2, 0.0)) if self.own > flagged else 0.0
+        return self.state._replace(missed=max(self.state.missed, hidden))
 
     def inheriting(self, before: CloudState, prior: tuple[Floats, Floats]) -> "CloudReading":
         """With what the reading leaves of an error that there was before there were points, or so many.
@@ -126,11 +124,11 @@ def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading |
         shadow = _part_of(points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
     error, wider = errors_told(told.mean, told.variance, found, state.size, state.pace.bias)
+    seen = shown(told.mean, state.pace.bias.mean)
     pace = Pace(state.pace.step, state.pace.stiff)
     state = state._replace(points=points, shadow=shadow, told=told, pace=pace)
-    unshown = hidden(error, told.mean, state.pace.bias.mean)
     unsure = evidence_error(told.log_evidence, found, state.size, len(found.mean))
-    return CloudReading(state, moments, found.log_evidence, unsure, error, unshown, wider)
+    return CloudReading(state, moments, found.log_evidence, unsure, error, seen, wider)
 
 
 def error_added(

@@ -151,10 +151,9 @@ def is_better(one, other):
 
 
 @register_jitable
-def hidden(error, square, bias):
-    """Part of an error of the mean that a shadow has, too, and that neither a square of it nor steps show."""
-    shown = both(error_by(square), bias)
-    return math.sqrt(max(error * error - shown * shown, 0.0))
+def shown(square, bias):
+    """Error of the mean that a shadow shows by a square, and steps by a bias: what is more, it has, too."""
+    return both(error_by(square), bias)
 
 
 @register_jitable

@@ -122,7 +122,7 @@ def put_through(parts, motion, sensor, spans, standing, bounds, curve):
         one, two = _both(about, few, s, curve)
         ahead, squares = _told(s, one, two, count)
         error[j], wider[j] = control.errors_told(*squares[:2], one.found, count, bias)
-        stays = control.hidden(error[j], squares[0], bias.mean) > 0.0 and error[j] > bounds.flagged
+        stays = error[j] > max(bounds.flagged, control.shown(squares[0], bias.mean))
         # what the next readings inherit is the filter's
         if stays or not (one.usual and two.usual and error[j] == error[j]):
             end = UNUSUAL

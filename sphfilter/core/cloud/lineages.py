@@ -71,7 +71,7 @@ def carriers(x, log_w, ancestor, mass, older):
     added, member = _added(x, w, ancestor, mean, cov)
     squares, part, wider = _squares(added, cov)
     lineages = 1.0 / squares
-    beyond = unseen(added[n], added[n] / mass[member], lineages)
+    beyond = unseen(added[n], added[n] / mass[member], lineages) if lineages < _KNOWN else 0.0
     missed = beyond * math.sqrt(part / squares) if part > 0.0 else beyond  # it lies as far off as they do
     number, alone = lineages, of_variances(x, w, mean, cov)
     of_variance = least_number(alone, squares, wider)
@@ -106,7 +106,7 @@ def unseen(shares, weights, number):
     many as the `number` of lineages that count have an index below zero, and none are missed.
     """
     m = int(min(3.0 * math.sqrt(len(weights)), len(weights) / 5.0))
-    if m < 5 or not number < _KNOWN:
+    if m < 5:
         return 0.0
     tail = np.sort(weights)[-m - 1 :]
     k = min(pareto_index(tail[1:] - tail[0]), 1.0 - 1.0 / m)  # from one, so many do not tell it apart
