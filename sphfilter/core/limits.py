@@ -18,6 +18,7 @@ OUTLYING = 5.0  # standard deviations, beyond which something else is at work: 2
 FAR = 3.0  # standard deviations, beyond which there is next to nothing: 2 Φ(-3) = .003 of a Gaussian
 AROUND = 2.5  # standard deviations that hold what is usual: 2 Φ(-2.5) = .012 of a Gaussian lies beyond
 LEAP = 2.0  # widths of its top that Newton's method goes at once; measured: half and twice change no fit
+HIGHEST = 6  # degree of a family's polynomial that is taken unless another is asked for
 LOOK = 64  # points by which is judged what an eighth of a standard deviation does for: 1 / √64 = 1/8
 #: Probability, from which it is said, and something done about it, that it was lost or guessed: at `FAR` it
 #: moves a mean by 3 · .01 = .03 standard deviations.

@@ -7,25 +7,17 @@ from typing import NamedTuple
 import numpy as np
 
 from .._types import Floats, OfStates
+from ..core._views import as_compiled
+from ..core.cloud import inherited
+from ..core.cloud.inherited import OF_UNSIGNED, along, steepness, whitener
 from ..core.family.basis import Basis, basis, beyond, bound, fit, polynomials, values_at
 from ..core.limits import TINY
 from ..errors import PropagationError
-from .family import HIGHEST, Family, moments_apart, node_moments, turned
-from .moments import whitener
+from .family import Family, moments_apart, node_moments, turned
+from .moments import columns
 
 #: Mean (n,) and covariance (n, n) of prior and posterior.
 Moments = tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
-
-#: Of the shift of a mean by a defect, of errors without a sign, and of what its polynomials leave: what the
-#: error told is made of. Measured on 30 models of three seeds: told over made 1.6, .79 to 5.5 (8 of 10), and
-#: .016 below a third; with .2 of the second .024 are.
-OF_SHIFT, OF_UNSIGNED, _OF_REST = 1.2, 0.4, 0.15
-#: Degree of the polynomials for which the shape is taken that others inherit of a family: what those have in
-#: one state. Measured: six tails are told .6 to 1.2 of what is made, with 5 .75 to 2.1, with 8 .3 to .7.
-ROUGH = HIGHEST
-#: Standard deviations. Measured: .029 of 592 errors are told to a third at most and .46 to three times as
-#: much; with ten times .020 and .52, with none .16 and .33.
-_LEAST = 1e-5
 
 
 @cache
@@ -76,6 +68,11 @@ class Defect(NamedTuple):
         values_at(beyond(n, family.degree).power, self.e, xi, math.inf, out)
         return out
 
+    def missed_at(self, family: Family, x: Floats, w: Floats) -> tuple[float, float, Floats]:
+        """What `Inherited` ends with, of a cloud that begins at states x (N, n) of weights w (N,)."""
+        off = self.at(family, x)
+        return self.rough(family), float(w @ off), off
+
 
 class Told(NamedTuple):
     """What a defect tells of a density."""
@@ -115,20 +112,8 @@ def read_out_after(prior: Family, defect: Defect, points: tuple[Floats, Floats],
 
 
 def told_at(x: Floats, w: Floats, off: Floats, U: Floats, rest: float) -> Told:
-    """What a defect of values `off` (N,) at states x (N, n) of weights w tells.
-
-    To first order moments shift by their covariance with the defect. The square of the defect's own variance
-    stands for the second order. A state of no variance has no error.
-    """
-    n, (mean, cov), log_mass = x.shape[1], node_moments(x, w), float(w @ off)
-    heavy, away, white = w * (off - log_mass), x - mean, whitener(cov)
-    shift, square = white @ (heavy @ away), float(heavy @ (off - log_mass))
-    wider = (away.T * heavy) @ away
-    known = OF_SHIFT * moments_apart(shift, white @ wider @ white.T)
-    parts = OF_UNSIGNED**2 * float((white @ U @ white.T).trace()) / n, (_OF_REST * rest) ** 2
-    unsigned = sum(parts) + square * square + _LEAST**2
-    variance = math.sqrt((OF_SHIFT * _most_of(wider, cov)) ** 2 + 2.0 * unsigned)
-    return Told(math.sqrt(known**2 + unsigned), math.sqrt(unsigned), log_mass, variance)
+    """What a defect of values `off` (N,) at states x (N, n) of weights w (N,) tells."""
+    return Told(*inherited.told_at(columns(x), as_compiled(w), as_compiled(off), as_compiled(U), rest))
 
 
 def _most_of(change: Floats, cov: Floats) -> float:
@@ -184,31 +169,14 @@ def _without_sign(prior: Family, defect: Defect, moments: Moments) -> tuple[Floa
     n, degree = len(cov), prior.degree
     gain = np.linalg.solve(cov, own_cov).T  # what a reading leaves of a shift
     left = math.sqrt(min(float(np.trace(gain)) / n, 1.0))
-    size = defect.rough(prior) * steepness(moments, degree)
+    size = defect.rough(prior) * steepness(*where(moments), degree)
     U = gain @ defect.U @ gain.T + own_cov * size**2 / n
     # errors without a sign have the density's own variance at most: more would say nothing more
     U *= min(1.0, n / max(float(np.linalg.solve(own_cov, U).trace()), TINY))
     return U, defect.rest * left ** (degree + 2)
 
 
-def steepness(moments: Moments, degree: int) -> float:
-    """How steep polynomials of the next degrees are where a reading leads.
-
-    Slopes of Hermite polynomials of the prior, over the posterior: along the way of the mean, and where it
-    stays but for the width that shrinks most.
-    """
-    (mean, cov), (own_mean, own_cov) = moments
-    white = whitener(cov)
-    shift, spread = white @ (own_mean - mean), white @ own_cov @ white.T
-    length, most = float(np.sqrt(shift @ shift)), 0.0
-    along = float(shift @ spread @ shift) / max(length * length, TINY)
-    for far, wide in ((length, along), (0.0, float(np.linalg.eigvalsh(spread)[0]))):
-        a = [1.0, far]  # means of Hermite's polynomials of N(far, wide)
-        for j in range(1, degree + 1):
-            a.append(far * a[j] + j * (wide - 1.0) * a[j - 1])
-        root = math.sqrt(max(wide, 0.0))  # of almost no width rounding may leave less than none
-        slopes = (
-            root * math.sqrt(k / math.factorial(k - 1)) * abs(a[k - 1]) for k in (degree + 1, degree + 2)
-        )
-        most = max(most, *slopes)
-    return most
+def where(moments: Moments) -> tuple[Floats, Floats]:
+    """Where a posterior is, (n,), and how wide, (n, n), in the frame of its prior."""
+    shift, spread = along(*(as_compiled(part) for each in moments for part in each))
+    return shift, spread

@@ -24,7 +24,6 @@ ASTRAY = 0.3  # of a frame's moments: no family holds the density then; measured
 #: switches takes .8 and 1.2 times the evaluations for 2.4 and .5 times the error, others 1.02 at most.
 OF_MISFIT = 0.5
 _NODES = {1: 200, 2: 1000, 3: 4000, 4: 12_000}  # of a lattice for questions, of four states and more the last
-HIGHEST = 6  # degree that is taken unless another is asked for
 _FEW = 3  # states, of which a rule of 12³ = 1,728 nodes costs less than a step
 ON_LATTICE = 2  # states up to which a lattice answers, and may come after one family
 

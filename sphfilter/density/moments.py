@@ -6,7 +6,6 @@ import numpy as np
 
 from .._types import Floats
 from ..core.cloud.weights import weighted_moments
-from ..core.small_matrices import cholesky, invert_lower
 
 
 def columns(x: Floats) -> Floats:
@@ -42,9 +41,3 @@ def matched(x: Floats, mass: Floats, mean: Floats, cov: Floats) -> Floats:
     own_mean, own_cov = moments(x, mass)
     change = np.linalg.cholesky(cov) @ np.linalg.inv(np.linalg.cholesky(own_cov))
     return mean + np.einsum("ij,kj->ik", x - own_mean, change)
-
-
-def whitener(cov: Floats) -> Floats:
-    """The matrix W (n, n) for which W C W^T = I; zero where a state has no variance."""
-    lower = np.empty(cov.shape)
-    return invert_lower(lower) if cholesky(np.ascontiguousarray(cov), lower) else np.zeros(cov.shape)

@@ -14,6 +14,7 @@ from ..core.cloud.blocks import blocks_of, centres
 from ..core.cloud.curve import along_curve, places
 from ..core.cloud.cycle import PARTS, Bounds, Cloud, Standing, nothing_begun
 from ..core.cloud.cycle import put_through as through
+from ..core.cloud.inherited import Inherited
 from ..core.cloud.linearise import LINEARISE, linearised
 from ..core.cloud.maps import LINEARISE_MAP, MAPPED
 from ..core.cloud.move import MOVE, affine, moved_over
@@ -148,9 +149,9 @@ def put_through(
 ) -> Through:
     """Readings put through a cloud and its shadow of so many points, as far as each of them is usual.
 
-    The state is as a reading has left it, or has begun a way, with errors that are its own; times (K + 1,),
-    seconds, begin with that of the cloud; readings are of a sensor (K, k) at the other times, least (K,) the
-    steps of each interval, counts and calm as of `Memory`.
+    The state is as a reading has left it, or has begun a way; times (K + 1,), seconds, begin with that of
+    the cloud; readings are of a sensor (K, k) at the other times, least (K,) the steps of each interval,
+    counts and calm as of `Memory`.
     """
     led = [(count, model.dim) in _LED_BEFORE for count in counts]
     nets = [
@@ -166,7 +167,7 @@ def put_through(
         leg = _leg(model, False)
     clouds = _cloud(state.points, nets[0]), _cloud(state.shadow, nets[1])
     pace, told = (state.pace.step, state.pace.stiff), (counts[0], calm, state.age)
-    standing = Standing(*clouds, state.size, *state.told, *pace, *told)
+    standing = Standing(*clouds, state.size, *state.told, *pace, *told, state.inherited)
     about = (leg, address_of(STIFF_FLOW), changes), readings, (times, least), standing
     lead = address_of(bridge.BRIDGE) if any(led) else NOWHERE_AT
     with surfacing():
@@ -203,9 +204,10 @@ def leading_nets(count: int, dim: int) -> tuple[Floats, ...]:
 
 def _left(standing: tuple[Any, ...]) -> tuple[CloudState, int, int]:
     """A cloud as compiled code left it, how many points the next one has, and how calm it was."""
-    x, w, lineage, few_x, few_w, few_lineage, size, *told, step, stiff, count, calm, age = standing
+    x, w, lineage, few_x, few_w, few_lineage, size, *told, inherited, step, stiff, count, calm, age = standing
     points, shadow = Points(x.T, w, lineage=lineage), Points(few_x.T, few_w, lineage=few_lineage)
-    return CloudState(points, shadow, size, Told(*told), Pace(step, stiff), age=age), count, calm
+    known = Told(*told), Pace(step, stiff), Inherited(*inherited)
+    return CloudState(points, shadow, size, *known, age), count, calm
 
 
 def _lineage_of(points: Points) -> Ints:

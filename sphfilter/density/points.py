@@ -8,11 +8,13 @@ import numpy as np
 from .._types import Floats, Ints
 from ..core.cloud import lineages
 from ..core.cloud.control import decisive, error_by, expected_square, remembered, smoothed, square_of_more
+from ..core.cloud.inherited import Inherited
 from ..core.cloud.pace import Bias
 from ..core.cloud.steps import Leg
 from .moments import columns
 
 NO_LINES = np.empty((0, 0), np.int64)  # of points each its own
+FRESH = Inherited(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.empty(0))  # of points that have no errors but their own
 
 
 class Passage(NamedTuple):
@@ -112,16 +114,6 @@ class Pace(NamedTuple):
     bias: Bias = Bias(0.0, 0.0)  # that their steps have had
 
 
-class Origin(NamedTuple):
-    """The family that points began as, and its defect; and what of it the readings have left."""
-
-    family: Any
-    defect: Any
-    unsigned: float  # part of the inherited error of the mean that has no sign
-    off: Floats | None = None  # (N,) log of how much too light points of the first reading's prior were
-    log_mass: float = 0.0  # mean of these now
-
-
 class CloudState(NamedTuple):
     """State of a cloud: points, a smaller cloud beside them, the errors that it tells, the pace of steps."""
 
@@ -130,17 +122,14 @@ class CloudState(NamedTuple):
     size: int  # points that the errors told are of; after a reading there are twice as many
     told: Told = Told()
     pace: Pace = Pace()
-    inherited: float = 0.0  # error of the mean before it became points, as far as readings have left it
+    inherited: Inherited = FRESH
     age: int = 0  # predictions since the start: its random numbers hang on it, and on no clock
-    origin: Origin | None = None  # as long as lineages go back to it
-    missed: float = 0.0  # error of the mean, flagged when it came, that few points have left to both clouds
 
     @property
     def begins(self) -> bool:
-        """Whether a reading has left it, or it has just become points, and all errors are its own."""
+        """Whether a reading has left it, or it has just become points."""
         path = self.points.path
-        begins = path is None or all(passage.model is None for passage in path.passages)
-        return begins and self.inherited == 0.0 and self.missed == 0.0
+        return path is None or all(passage.model is None for passage in path.passages)
 
 
 class Carried(lineages.Carried):

@@ -14,11 +14,12 @@ from numpy.typing import ArrayLike
 
 from .._types import Bools, Floats, Ints, OfStates
 from ..core.cloud.control import SHADOW, error_by
+from ..core.cloud.inherited import OF_SHIFT
 from ..core.limits import LITTLE, TINY
 from ..errors import ModelError
 from . import weighted
 from .cloud import KERNEL, smoothing_length
-from .defect import OF_SHIFT, read_out
+from .defect import read_out
 from .moments import moments
 from .quasi_random import FEW_STATES
 from .shapes import CELL_POINTS

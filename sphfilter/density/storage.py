@@ -18,6 +18,7 @@ from .._types import Floats
 from .._version import __version__
 from ..core.cloud.blocks import blocks_of
 from ..core.cloud.control import SHADOW
+from ..core.cloud.inherited import Inherited
 from ..core.cloud.pace import Bias
 from ..core.field.fitting import build_field
 from ..core.field.stencils import stencils
@@ -33,7 +34,7 @@ from .moments import matched, moments
 from .particle_density import ParticleDensity
 from .passage import gone_again
 from .pieces import Pieces
-from .points import NO_LINES, CloudState, Origin, Pace, Passage, Path, Points, Told
+from .points import FRESH, NO_LINES, CloudState, Pace, Passage, Path, Points, Told
 from .quasi_random import FEW_STATES, weighted_points
 
 #: Arrays by name.
@@ -119,13 +120,9 @@ def _stored_cloud(state: CloudState) -> Arrays:
     """A cloud as arrays by name; of a path what begins it, and the spans and steps of its predictions."""
     *pace, (of_mean, of_variance) = state.pace
     arrays = {"told": np.array(state.told), "pace": np.array([*map(float, pace), of_mean])}
-    numbers = {"size": state.size, "inherited": state.inherited, "age": state.age, "of_variance": of_variance}
-    numbers |= {"missed": state.missed} if state.missed > 0.0 else {}
+    numbers = {"size": state.size, "age": state.age, "of_variance": of_variance}
     arrays |= {name: np.array(value) for name, value in numbers.items()}
-    if state.origin is not None:
-        family, defect, unsigned, off, log_mass = state.origin
-        own = family._asdict() | {"defect": defect.packed, "about": np.array([unsigned, log_mass])}
-        arrays |= under("origin", own if off is None else own | {"off": off})
+    arrays |= under("brought", {name: np.array(value) for name, value in state.inherited._asdict().items()})
     for name, points in (("points", state.points), ("shadow", state.shadow)):
         arrays |= under(name, {"x": points.x, "w": points.w})
         if points.lineage is not None:
@@ -149,10 +146,10 @@ def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[Dynamics
     pace = Pace(step, bool(stiff), int(legs), Bias(of_mean, float(arrays.get("of_variance", 0.0))))
     points, shadow = (_points_from(part(name, arrays), models) for name in ("points", "shadow"))
     size = arrays["size"].item() or len(points.w)  # older files have none where a reading began the cloud
-    inherited, age = float(arrays.get("inherited", 0.0)), int(arrays.get("age", 0))  # older files have none
-    origin = _origin_from(part("origin", arrays)) if "origin.mu" in arrays else None
-    told, missed = Told(*arrays["told"].tolist()), float(arrays.get("missed", 0.0))
-    return _as_cloud(CloudState(points, shadow, size, told, pace, inherited, age, origin, missed), about)
+    told, age = Told(*arrays["told"].tolist()), int(arrays.get("age", 0))  # older files have none
+    return _as_cloud(
+        CloudState(points, shadow, size, told, pace, _inherited_from(arrays, points), age), about
+    )
 
 
 def _as_cloud(state: CloudState, about: dict[str, Any]) -> ParticleDensity:
@@ -173,15 +170,27 @@ def _points_of_families(arrays: Arrays, about: dict[str, Any]) -> ParticleDensit
     x, w = weighted_points(log_p, about["moments"], FEW_STATES, 0)
     points = Points(matched(x, w, *about["moments"]), w)
     few = w[::SHADOW] / w[::SHADOW].sum()
-    state = CloudState(points, Points(points.x[::SHADOW], few), FEW_STATES, inherited=about["error"])
+    state = CloudState(
+        points, Points(points.x[::SHADOW], few), FEW_STATES, inherited=FRESH._replace(error=about["error"])
+    )
     return _as_cloud(state._replace(age=(about["needs"] or Memory()).age), about)
 
 
-def _origin_from(arrays: Arrays) -> Origin:
-    family = Family(arrays["mu"], arrays["A"], arrays["c"])
-    unsigned, log_mass = arrays["about"].tolist()
-    defect = Defect.of(arrays["defect"], family)
-    return Origin(family, defect, unsigned, arrays.get("off"), log_mass)
+def _inherited_from(arrays: Arrays, points: Points) -> Inherited:
+    """What a cloud of these points has inherited; of files of before a family tells it, or nothing does."""
+    if own := part("brought", arrays):
+        numbers = {name: float(value) for name, value in own.items() if name != "off"}
+        return FRESH._replace(**numbers, off=own["off"])
+    error, missed = (float(arrays.get(name, 0.0)) for name in ("inherited", "missed"))
+    old, known = part("origin", arrays), FRESH._replace(error=error, missed=missed)
+    if not old:
+        return known
+    unsigned, log_mass = old["about"].tolist()
+    if "off" in old:
+        return known._replace(unsigned=unsigned, log_mass=log_mass, off=old["off"])
+    family = Family(old["mu"], old["A"], old["c"])
+    defect, x = Defect.of(old["defect"], family), points.x if points.path is None else points.path.x
+    return Inherited(error, missed, 0.0, unsigned, *defect.missed_at(family, x, points.w))
 
 
 def _points_from(arrays: Arrays, models: Sequence[Dynamics]) -> Points:

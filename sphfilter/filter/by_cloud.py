@@ -8,12 +8,20 @@ import numpy as np
 
 from .._types import Floats
 from ..config import CloudScheme, FilterConfig
-from ..core.cloud.control import errors_told, evidence_error, shown, wrong_beside
+from ..core._views import as_compiled
+from ..core.cloud.control import both, errors_told, evidence_error, shown, wrong_beside
+from ..core.cloud.inherited import (
+    Inherited,
+    error_with,
+    left_by_reading,
+    spread_with,
+    variance_error_with,
+    with_missed,
+)
 from ..core.cloud.pace import Steps
-from ..core.limits import LITTLE
 from ..density.as_cloud import cloud_of
-from ..density.as_family import moments_on_line
 from ..density.memory import doubtful_from, flagged_from
+from ..density.moments import columns, moments
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Use, moved_points, stored_key
 from ..density.points import CloudState, Pace, Points, Told
@@ -22,7 +30,6 @@ from ..errors import PropagationError
 from ..info import Code
 from ..prediction.cloud import as_points, shadow_size, squared_differences
 from .guided import weighed
-from .inherited import inherited, left_of_shape
 from .reading_at_prior import Posterior, ReadingAtPrior, info_fields
 from .stacked import Stacked
 
@@ -48,8 +55,8 @@ def by_cloud(
             "prior times likelihood is zero wherever the prior has particles: check the measurement, its "
             "unit and its noise"
         )
-    found = found.inheriting(state, moments_on_line(density))
-    error, doubt, code = found.error, 2.0 * found.of_variance, Code.CLOUD
+    found = found.inheriting(state)
+    error, doubt, code = found.error, 2.0 * found.spread, Code.CLOUD
     known = {"capacity": n_particles, "error": error, "rough": 0.0}  # of which `inherited` knows
     target = config.target_error
     new = cloud_of(density, found.left(flagged_from(target)), found.moments, **known)
@@ -69,42 +76,41 @@ class CloudReading(NamedTuple):
     log_evidence: float
     evidence_error: float
     own: float  # error of the mean that is its own
-    shown: float  # part of that, which its shadow shows, and steps: the rest it has, too
     of_variance: float  # error of the variances that is
+    shown: tuple[float, float]  # parts of both that a shadow shows, and steps: the rest it has, too
 
     @property
     def error(self) -> float:
         """Error of the mean, in standard deviations, with what was wrong before there were points."""
-        of_few = math.hypot(self.shown, self.state.missed)  # of which the own may be as well: the larger one
-        return math.hypot(max(self.own, of_few), self.state.inherited)
+        return error_with(self.own, self.shown[0], self.state.inherited)
 
     @property
     def variance_error(self) -> float:
         """Error of the variances as a part of each, where it is most."""
-        root = math.sqrt(2.0)
-        return math.hypot(max(self.of_variance, root * self.state.missed), root * self.state.inherited)
+        return variance_error_with(self.of_variance, self.shown[1], self.state.inherited)
+
+    @property
+    def spread(self) -> float:
+        """Error of the variances by which they are flagged."""
+        return spread_with(self.of_variance, self.shown[1], self.state.inherited)
 
     def left(self, flagged: float) -> CloudState:
         """What goes on: of an error that is flagged, the next readings inherit what no shadow shows later."""
-        hidden = math.sqrt(max(self.own**2 - self.shown**2, 0.0)) if self.own > flagged else 0.0
-        return self.state._replace(missed=max(self.state.missed, hidden))
+        own = self.own, self.of_variance
+        return self.state._replace(inherited=with_missed(self.state.inherited, own, self.shown, flagged))
 
-    def inheriting(self, before: CloudState, prior: tuple[Floats, Floats]) -> "CloudReading":
+    def inheriting(self, before: CloudState) -> "CloudReading":
         """With what the reading leaves of an error that there was before there were points, or so many.
 
-        It is counted as long as the cloud's own does not hide it. `prior` is mean (n,) and covariance (n, n).
+        It is counted as long as the cloud's own does not hide it.
         """
-        found, moments = self, (prior, self.moments)
-        if before.missed > 0.0:
-            left, nats = (before.missed * part for part in left_of_shape(moments))
-            state = self.state._replace(missed=left if left > LITTLE * self.own else 0.0)
-            found = self._replace(state=state, evidence_error=math.hypot(self.evidence_error, nats))
-        if not before.inherited > 0.0:
-            return found
-        error, nats, origin = inherited(before, self.state.points, moments)
-        error, origin = (error, origin) if error > LITTLE * self.own else (0.0, None)
-        state = found.state._replace(inherited=error, origin=origin)
-        return found._replace(state=state, evidence_error=math.hypot(found.evidence_error, nats))
+        old, points = before.inherited, self.state.points
+        if not max(old.error, old.missed, old.wider) > 0.0:
+            return self
+        about, own = (columns(points.x), as_compiled(points.w), points.older), (self.own, self.of_variance)
+        left, nats = left_by_reading(old, moments(*before.points[:2]), *about, self.moments, own)
+        state = self.state._replace(inherited=Inherited(*left))
+        return self._replace(state=state, evidence_error=both(self.evidence_error, nats))
 
 
 def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading | None:
@@ -124,11 +130,12 @@ def cloud_times_likelihood(state: CloudState, sensor: Stacked) -> CloudReading |
         shadow = _part_of(points, len(state.shadow.w))
         told = told.after(1.0, 1.0, 1.0)
     error, wider = errors_told(told.mean, told.variance, found, state.size, state.pace.bias)
-    seen = shown(told.mean, state.pace.bias.mean)
+    bias = state.pace.bias
+    seen = shown(told.mean, bias.mean), shown(told.variance, bias.variance)
     pace = Pace(state.pace.step, state.pace.stiff)
     state = state._replace(points=points, shadow=shadow, told=told, pace=pace)
     unsure = evidence_error(told.log_evidence, found, state.size, len(found.mean))
-    return CloudReading(state, moments, found.log_evidence, unsure, error, seen, wider)
+    return CloudReading(state, moments, found.log_evidence, unsure, error, wider, seen)
 
 
 def error_added(

@@ -6,11 +6,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._types import Floats, OfStates
+from ..core.cloud.inherited import OF_UNSIGNED
 from ..core.family.frame import moved, root_between
 from ..core.kalman import conditioned
 from ..core.limits import ALIKE, FAR, LARGEST_EXPONENT, LOOK, ROUNDING, TINY
 from ..density.as_family import defect_in, family_density, family_of, moments_on_line
-from ..density.defect import OF_UNSIGNED, after_reading, read_out
+from ..density.defect import after_reading, read_out
 from ..density.family import (
     ASTRAY,
     Family,

@@ -7,10 +7,10 @@ from typing import Any
 from scipy.special import logsumexp
 
 from ..config import FilterConfig
+from ..core.cloud.inherited import ROUGH
 from ..core.kalman import conditioned
 from ..core.step_control import TRIES
 from ..density.as_family import as_polynomials, may_miss, pieces_density
-from ..density.defect import ROUGH
 from ..density.memory import Memory, error_budget, flagged_from, tolerated_excess
 from ..density.particle_density import ParticleDensity
 from ..density.pieces import OF_CHANGE, Pieces, merged

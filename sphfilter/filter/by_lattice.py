@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from ..config import FilterConfig
+from ..core.cloud.inherited import ROUGH
 from ..core.limits import ALIKE, LARGEST_EXPONENT, OUTLYING
-from ..density.defect import ROUGH
 from ..density.left_out import LeftOut
 from ..density.particle_density import ParticleDensity
 from ..density.resample import times_likelihood
@@ -47,18 +47,19 @@ def by_lattice(
         moments = (density.mean(), density.cov()), (new.mean(), new.cov())
         left = shift_left_by_update(moments[0][1], moments[1][1], new.gaussian)
         error = math.hypot(left * density.error, found.off.mean, unsure, of_shape(density.rough, moments))
-        unknown = _beyond(density, new)
+        unknown, away = _beyond(density, new)
     except PropagationError as problem:
         if not flag and config.scheme == "auto":
             why = f"no lattice holds the posterior: {problem}"
             return by_cloud(density, asked, n_particles, config, why)
         if not flag:
             raise
-        new, unknown = density, f"not used: {flag}, where no lattice holds a posterior"
+        unknown, away = f"not used: {flag}, where no lattice holds a posterior", OUTLYING
+        new = density
         log_evidence = asked.gaussian_evidence
     far = Remote()
-    if unknown:
-        new = density
+    if unknown:  # the mean is as far off as the reading would move it, and later ones inherit that
+        new = density.noted(error=math.hypot(density.error, away))
     else:
         far, unheld = (far, None) if gaussian else _beyond_lattice(density, new, asked, log_evidence)
         known = {"lost": left * density.lost, "rough": left**ROUGH * density.rough, "left_out": unheld}
@@ -128,16 +129,20 @@ def _extrapolated(prior: ParticleDensity, posterior: ParticleDensity) -> float:
     return extrapolated_mass(prior.field, posterior.x, posterior.mass, prior.walls)
 
 
-def _beyond(prior: ParticleDensity, posterior: ParticleDensity) -> str:
-    """Say so where the posterior lies so far outside of the prior's particles that its shape is a guess."""
+def _beyond(prior: ParticleDensity, posterior: ParticleDensity) -> tuple[str, float]:
+    """Say so where the posterior lies so far outside of the prior's particles that its shape is a guess.
+
+    And how many standard deviations of the prior it is off its mean.
+    """
     L = np.linalg.cholesky(prior.cov())
-    away = np.linalg.norm(np.linalg.solve(L, posterior.mean() - prior.mean()))
+    away = float(np.linalg.norm(np.linalg.solve(L, posterior.mean() - prior.mean())))
     if away < OUTLYING:
-        return ""
+        return "", away
     edge = np.linalg.norm(np.linalg.solve(L, (prior.x - prior.mean()).T), axis=0).max()
     if away - edge < (_TRUSTED_GAUSSIAN if prior.gaussian else OUTLYING):
-        return ""
+        return "", away
     return (
         f"not used: the posterior would lie {away - edge:.0f} standard deviations outside of the prior's "
-        f"particles, where its density is a guess"
+        f"particles, where its density is a guess",
+        away,
     )

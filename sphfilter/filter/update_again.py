@@ -225,7 +225,7 @@ def _on_more_points(
         cloud = posterior.cloud
         assert cloud is not None
         led = before is None or as_it_was
-        error = _deciding(posterior, info, target, 0.0 if led else cloud.inherited)
+        error = _deciding(posterior, info, target, 0.0 if led else cloud.inherited.error)
         if error > MISSED * target:
             error = _added(prediction, prior, posterior, error, target)
         more = points_for(cloud.size, error, target, prior.dim) if error > MISSED * target else 0

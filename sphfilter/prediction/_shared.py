@@ -1,13 +1,15 @@
 """What the schemes share: what they return, and sentences about a prediction."""
 
 import itertools
-import math
 from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
 
 from .._types import Floats
+from ..core._views import as_compiled
+from ..core.cloud import inherited
+from ..density.moments import columns
 from ..density.particle_density import ParticleDensity
 from ..info import PredictInfo
 from ..model.dynamics import Dynamics
@@ -18,18 +20,8 @@ Predicted: TypeAlias = tuple[ParticleDensity, PredictInfo]
 
 
 def kept(x: Floats, moved: Floats, w: Floats, cov: Floats) -> float:
-    """What of an error of the mean a prediction leaves, in standard deviations, by regression.
-
-    States x (N, n) of weights w (N,) have moved to others, or on the average over noise; afterwards their
-    covariance is (n, n). All of it where that, or theirs, is flat.
-    """
-    off, about = moved - w @ moved, x - w @ x
-    try:
-        root, before = np.linalg.cholesky(cov), np.linalg.cholesky((about * w[:, None]).T @ about)
-    except np.linalg.LinAlgError:
-        return 1.0
-    part = np.linalg.solve(root, np.linalg.solve(before, (about * w[:, None]).T @ off).T)
-    return float(np.linalg.norm(part)) / math.sqrt(len(cov))
+    """What of an error of the mean a prediction leaves, of states (N, n), as the core says of columns."""
+    return float(inherited.kept(columns(x), columns(moved), as_compiled(w), as_compiled(cov)))
 
 
 @lru_cache(maxsize=64)

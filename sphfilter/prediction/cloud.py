@@ -12,10 +12,14 @@ from ..core.cloud.control import (
     STEPS_ORDER,
     apart_by,
     bias_allowed,
+    error_ahead,
+    error_by,
+    may_be_wrong,
     over_allowed,
     step_after,
     steps_of_shadow,
 )
+from ..core.cloud.inherited import Inherited, after_prediction
 from ..core.cloud.lineages import outermost
 from ..core.cloud.pace import FIRST_TRIED, MOST_LOST, Bias, Steps
 from ..core.cloud.weights import any_beyond, compared, near_others
@@ -24,6 +28,7 @@ from ..density.as_cloud import cloud_of
 from ..density.as_family import moments_on_line
 from ..density.defect import read_out
 from ..density.left_out import LeftOut
+from ..density.memory import doubtful_from
 from ..density.moments import columns, moments
 from ..density.particle_density import ParticleDensity
 from ..density.passage import (
@@ -36,7 +41,7 @@ from ..density.passage import (
     points_of_sample,
     stored_key,
 )
-from ..density.points import CloudState, Origin, Pace, Points
+from ..density.points import FRESH, CloudState, Pace, Points
 from ..density.quasi_random import even
 from ..errors import PropagationError, StoppedError
 from ..info import DOUBTFUL, Code, PredictInfo
@@ -73,7 +78,12 @@ def propagate(
         before *= _kept(state.points.x, moved.state.points, moved.moments[1])
     error = max(moved.error, before)
     wider = max(moved.variance_error, math.sqrt(2.0) * error)
-    return new, info_of(model, scheme.n_points, moved.steps, moved.lost, error, wider)
+    info = info_of(model, scheme.n_points, moved.steps, moved.lost, error, wider)
+    wider = moved.state.inherited.wider  # of a reading that was flagged for it
+    if target > 0.0 and may_be_wrong(wider, doubtful_from(target)):
+        status = f"{info.status}, but the variance may be off by {2.0 * wider:.0%}"
+        info = info.noted(status=status, code=info.code | Code.UNRESOLVED)
+    return new, info
 
 
 def _kept(x: Floats, points: Points, cov: Floats) -> float:
@@ -121,15 +131,14 @@ def carried_cloud(
         sums.append(moments(moved.x, moved.w))
     told = state.told.of(count / state.size)
     off = squared_differences(ends[0], ends[1], domain, sums)
-    seen = told.after(*off).errors
-    missed = state.missed and state.missed * _kept(state.points.x, ends[0], sums[0][1])
-    error = math.hypot(max(seen.mean, missed), pace.bias.mean, state.inherited)
-    beyond = outermost(columns(ends[0].x), ends[0].w, *sums[0])
-    wider = math.hypot(max(math.sqrt(2.0) * error, seen.variance, beyond), pace.bias.variance)
-    state = state._replace(
-        points=ends[0], shadow=ends[1], size=count, told=told, pace=pace, age=state.age + 1, missed=missed
-    )
-    return Carried(state, sums[0], error, wider, lost, steps.number)
+    seen = told.after(*off)
+    inherited, beyond = state.inherited, outermost(columns(ends[0].x), ends[0].w, *sums[0])
+    if max(inherited.missed, inherited.wider) > 0.0:
+        inherited = after_prediction(inherited, _kept(state.points.x, ends[0], sums[0][1]))
+    error = error_ahead(seen.mean, inherited, pace.bias)
+    wider = max(math.sqrt(2.0) * error, error_by(seen.variance), beyond, inherited.wider)
+    state = CloudState(ends[0], ends[1], count, told, pace, inherited, state.age + 1)
+    return Carried(state, sums[0], error, math.hypot(wider, pace.bias.variance), lost, steps.number)
 
 
 def as_points(density: ParticleDensity, count: int) -> CloudState:
@@ -148,10 +157,12 @@ def as_points(density: ParticleDensity, count: int) -> CloudState:
         points, shadow = (points_of_gaussian(mean, cov, n, key, k) for k, (n, key) in enumerate(clouds))
     else:
         points, shadow = (points_of_sample(Points(*density.form.drawn(n, key)), n, key) for n, key in clouds)
-    origin, family, defect = None, density.family, density.defect
-    if family is not None and defect is not None:
-        origin = Origin(family, defect, read_out(family, defect).unsigned)
-    return CloudState(points, shadow, count, inherited=density.error, age=age, origin=origin)
+    inherited, path = FRESH._replace(error=density.error), points.path
+    family, defect = density.family, density.defect
+    if family is not None and defect is not None and path is not None:
+        unsigned, missed = read_out(family, defect).unsigned, defect.missed_at(family, path.x, points.w)
+        inherited = Inherited(density.error, 0.0, 0.0, unsigned, *missed)
+    return CloudState(points, shadow, count, inherited=inherited, age=age)
 
 
 def left_out_later(density: ParticleDensity, model: Dynamics, t1: float) -> LeftOut | None:
@@ -212,7 +223,7 @@ def _steps(
     least = least_steps(model, points.x, span)
     number = math.ceil(dt * shorter / step - 1e-9) if step > 0.0 else FIRST_TRIED
     told = state.told.errors.mean
-    allowed = bias_allowed(told, len(points.w), state.inherited, DOUBTFUL, target, legs)
+    allowed = bias_allowed(told, len(points.w), state.inherited.error, DOUBTFUL, target, legs)
     about = Steps(number, stiff), (least, most), allowed, stored_key(state.age, 0)
     steps, bias, lost = chosen_steps(points, model, span, *about)
     if lost > 2.0 * MOST_LOST:  # of a few: all need not be asked, each of which takes long

@@ -10,14 +10,15 @@ import numpy as np
 from .._types import Floats
 from ..config import FamilyScheme
 from ..core._addresses import address_of
+from ..core.cloud.inherited import OF_UNSIGNED
 from ..core.family.basis import basis, beyond
 from ..core.family.march import STATUS, Control, Report, march
 from ..core.family.rates import DEFECT, RATES, Flow
 from ..core.family.rules import degrees
-from ..core.limits import EDGE, LARGEST_EXPONENT
+from ..core.limits import EDGE, HIGHEST, LARGEST_EXPONENT
 from ..density.as_family import defect_in, family_density, family_of, moments_on_line
-from ..density.defect import OF_UNSIGNED, Defect, read_out
-from ..density.family import ASTRAY, HIGHEST, Family, miscounted, turned
+from ..density.defect import Defect, read_out
+from ..density.family import ASTRAY, Family, miscounted, turned
 from ..density.particle_density import ParticleDensity
 from ..errors import ConfigError, PropagationError, StoppedError
 from ..info import DOUBTFUL, Code, PredictInfo, may_be_off

@@ -26,7 +26,7 @@ from ..density.as_cloud import cloud_of
 from ..density.modes import ModeDensities
 from ..density.moments import columns, moments
 from ..density.passage import Use, along, leg_of, stored_key
-from ..density.points import CloudState, Points
+from ..density.points import FRESH, CloudState, Points
 from ..errors import PropagationError
 from ..info import PredictInfo
 from ..model.compile import surfacing
@@ -183,7 +183,7 @@ class _Sources:
         """The cloud of mode j with those that came, its moments, and the error of its mean."""
         staying = math.prod(float(P[j, j]) for P in self._way.jumps)  # probability of no jump
         state, share = stayed.state, self.w[j] * staying / forward[-1][j]
-        clouds, sums, inherited = [], [], share * state.inherited**2
+        clouds, sums, inherited = [], [], share * state.inherited.error**2
         for k, points in enumerate((state.points, state.shadow)):
             key = stored_key(stored_key(stayed.state.age, Use.JUMPS + k), j)
             if share < 1.0:
@@ -195,9 +195,10 @@ class _Sources:
             clouds.append(points)
             sums.append(moments(points.x, points.w))
         off = squared_differences(clouds[0], clouds[1], self._domain, sums)
-        inherited = math.sqrt(inherited)
-        error = math.hypot(state.told.after(*off).errors.mean, state.pace.bias.mean, inherited)
-        state = state._replace(points=clouds[0], shadow=clouds[1], inherited=inherited, origin=None)
+        own = state.inherited
+        brought = FRESH._replace(error=math.sqrt(inherited), missed=own.missed, wider=own.wider)
+        error = math.hypot(state.told.after(*off).errors.mean, state.pace.bias.mean, brought.error)
+        state = state._replace(points=clouds[0], shadow=clouds[1], inherited=brought)
         return state, sums[0], error
 
     def _came(self, forward: list[Floats], j: int, share: float, k: int, key: int) -> tuple[Points, float]:
@@ -215,7 +216,7 @@ class _Sources:
             lineage = lineage[: len(older)]
             if len(lineage):
                 lineage[:, own] = older[: len(lineage), chosen]
-            square += len(own) / many * self._states[i].inherited ** 2
+            square += len(own) / many * self._states[i].inherited.error ** 2
         for gap, span in enumerate(pairwise(self._way.times.tolist())):
             if span[0] == span[1]:
                 continue

@@ -13,9 +13,9 @@ import numpy as np
 from ..config import CloudScheme, FamilyScheme
 from ..core.cloud.control import MOST_POINTS
 from ..core.family.rules import degrees
-from ..core.limits import LITTLE
+from ..core.limits import HIGHEST, LITTLE
 from ..density.as_family import as_polynomials, family_density, moments_on_line
-from ..density.family import HIGHEST, ON_LATTICE, gaussian_family
+from ..density.family import ON_LATTICE, gaussian_family
 from ..density.memory import Memory, doubtful_from, error_budget, tolerated_excess, usual_points
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice

@@ -35,11 +35,11 @@ from ..core.characteristics.judge import BETWEEN, JUDGE
 from ..core.characteristics.march import Entries, march, needed
 from ..core.characteristics.noise_paths import ALONG, Noise
 from ..core.characteristics.step_choice import CHOOSE
+from ..core.cloud.inherited import ROUGH
 from ..core.field.field import Field
 from ..core.field.fitting import BUILD
 from ..core.field.stencils import stencils
 from ..core.limits import ROUNDING, TINY
-from ..density.defect import ROUGH
 from ..density.particle_density import ParticleDensity
 from ..errors import LatticeError, PropagationError, StoppedError, UnresolvedError
 from ..info import DOUBTFUL, Code, PredictInfo, may_be_off

@@ -15,12 +15,12 @@ from scipy.special import logsumexp
 from .._types import Floats, OfStates
 from ..core.cloud.control import MOST_POINTS, power_of_two
 from ..core.family.rules import degrees
-from ..core.limits import FAR, LITTLE
+from ..core.limits import FAR, HIGHEST, LITTLE
 from ..core.step_control import HELPED
 from ..density.as_cloud import cloud_density
 from ..density.as_family import as_polynomials, family_density, gaussians_of, moments_on_line, pieces_density
 from ..density.defect import Defect, defect_of
-from ..density.family import HIGHEST, OF_MISFIT, fitted, moments_apart, node_moments
+from ..density.family import OF_MISFIT, fitted, moments_apart, node_moments
 from ..density.memory import Memory
 from ..density.moments import moments_of_sum
 from ..density.particle_density import ParticleDensity

@@ -173,6 +173,12 @@ def errors_told(mean, variance, found, size, bias):
 
 
 @register_jitable
+def error_ahead(square, inherited, bias):
+    """Error of a prediction's mean: what a shadow shows (squared), what is `Inherited`, and that of steps."""
+    return both(both(max(error_by(square), inherited.missed), bias.mean), inherited.error)
+
+
+@register_jitable
 def evidence_error(square, found, size, n):
     """Error of the log-evidence, nats: what the shadow shows, and at least that of the lineages `Carried`.
 
@@ -242,12 +248,9 @@ def wrong_beside(flagged):
 
 
 @register_jitable
-def is_flagged(ahead, error, variance, unresolved, flagged):
-    """Whether a reading is flagged, or its prediction, whose mean has an error; by what each may have.
-
-    A variance may be off by twice what is told of it.
-    """
-    return not ahead < unresolved or not error <= flagged or 2.0 * variance > wrong_beside(flagged)
+def may_be_wrong(variance, flagged):
+    """Whether variances told to be off so much are flagged, beside a mean that is from an error on."""
+    return 2.0 * variance > wrong_beside(flagged)
 
 
 @register_jitable

@@ -14,6 +14,16 @@ from .._addresses import ADDRESS, NOWHERE_AT, Entry
 from .._jit import MATRIX, VECTOR, jit
 from . import control
 from .bridge import BRIDGE
+from .inherited import (
+    Inherited,
+    after_prediction,
+    error_with,
+    kept,
+    left_by_reading,
+    spread_with,
+    variance_error_with,
+    with_missed,
+)
 from .lineages import Carried, carriers
 from .move import over
 from .noise import NORMAL, stored
@@ -67,6 +77,7 @@ class Standing(NamedTuple):
     points: int  # of the next cloud
     calm: int
     age: int  # predictions since the start
+    inherited: Inherited
 
 
 class Bounds(NamedTuple):
@@ -84,6 +95,7 @@ class _Cycled(NamedTuple):
     """A cloud after a cycle: its prior's points, weights, mean and covariance, and what is left of it."""
 
     usual: bool  # whether nothing was found that needs more; else the rest is of no worth
+    begin: np.ndarray  # (n, N), where those points began
     y: np.ndarray
     w: np.ndarray
     mean: np.ndarray
@@ -121,19 +133,24 @@ def put_through(parts, motion, sensor, spans, standing, bounds, curve):
         few = over(own, own.flow, *span, fewer)
         one, two = _both(about, few, s, curve)
         ahead, squares = _told(s, one, two, count)
-        error[j], wider[j] = control.errors_told(*squares[:2], one.found, count, bias)
-        stays = error[j] > max(bounds.flagged, control.shown(squares[0], bias.mean))
-        # what the next readings inherit is the filter's
-        if stays or not (one.usual and two.usual and error[j] == error[j]):
+        alone, spread = control.errors_told(*squares[:2], one.found, count, bias)
+        if not (one.usual and two.usual and alone == alone):
             end = UNUSUAL
             break
         m[j], P[j], x[j], C[j] = one.mean, one.cov, one.found.mean, one.found.cov
         evidence[j] = one.found.log_evidence
         unsure[j] = control.evidence_error(squares[2], one.found, count, n)
+        old, brought, nats = _brought(s.inherited, one, (alone, spread))
+        shown = control.shown(squares[0], bias.mean), control.shown(squares[1], bias.variance)
+        error[j] = error_with(alone, shown[0], brought)
+        wider[j] = variance_error_with(spread, shown[1], brought)
+        doubt = spread_with(spread, shown[1], brought)
+        unsure[j] = control.both(unsure[j], nats)
         if reader.h != NOWHERE_AT:  # of a linear sensor the moments say it
             off[j], S[j] = foreseen(about[3], one.y, one.w, one.mean)
-        ahead = control.both(ahead, bias.mean)
-        flagged[j] = control.is_flagged(ahead, error[j], wider[j], bounds.unresolved, bounds.flagged)
+        ahead = control.error_ahead(ahead, old, bias)
+        flagged[j] = not ahead < bounds.unresolved or control.may_be_wrong(old.wider, bounds.unresolved)
+        flagged[j] |= not error[j] <= bounds.flagged or control.may_be_wrong(doubt, bounds.flagged)
         told = control.decisive(control.error_by(squares[0]), control.error_by(squares[1]), bounds.target, n)
         wanted = control.points_for(count, told, bounds.target, n)
         points, calm = control.next_points(count, wanted, s.calm)
@@ -141,7 +158,8 @@ def put_through(parts, motion, sensor, spans, standing, bounds, curve):
         paced = step, stiff, points, calm, s.age + 1
         many = _left(s.many, one.found, one.found.lineage)
         shadow = _left(s.shadow, two.found, two.found.lineage[:1].copy())  # it goes back no further
-        before, standing = s, Standing(many, shadow, count, *squares, *paced)
+        goes_on = with_missed(brought, (alone, spread), shown, bounds.flagged)
+        before, standing = s, Standing(many, shadow, count, *squares, *paced, goes_on)
         done += 1
         end = MORE if points != count else ALL
         if max(error[j], told) > bounds.missed:
@@ -190,7 +208,7 @@ def _added(about, s, one, target, curve):
 def _bare(s):
     """The values of a cloud's standing: an interrupt in the making of a named tuple is none to Python."""
     cloud, shadow = (s.many.x, s.many.w, s.many.lineage), (s.shadow.x, s.shadow.w, s.shadow.lineage)
-    told = s.size, s.mean, s.variance, s.log_evidence
+    told = s.size, s.mean, s.variance, s.log_evidence, s.inherited
     return (*cloud, *shadow, *told, s.step, s.stiff, s.points, s.calm, s.age)
 
 
@@ -220,7 +238,7 @@ def _paced(parts, leg, stiff_flow, span, s, least, bounds, curve):
     if leg.kind == NORMAL:  # a map has the steps that it has
         return over(leg, leg.flow, span[0], span[1], least), s.step, Bias(0.0, 0.0)
     dt, told = span[1] - span[0], control.error_by(s.mean)
-    allowed = control.bias_allowed(told, s.many.w.size, 0.0, bounds.doubtful, bounds.target, 1)
+    allowed = control.bias_allowed(told, s.many.w.size, s.inherited.error, bounds.doubtful, bounds.target, 1)
     number = math.ceil(dt / s.step - 1e-9) if s.step > 0.0 else FIRST_TRIED
     about = (s.many.x, s.many.w), stored(s.age, 0), curve, Steps(number, s.stiff), (least, bounds.most)
     steps, stiff, off, lost = _chosen_at(parts[5])((leg, stiff_flow), span, *about, allowed)
@@ -285,17 +303,30 @@ def _cycled(about, cloud, keys, curve):
     weighted_moments(y, w, mean, cov)
     few = unled or control.is_tempered(found.lineages, number, count, False)
     usual = not few and wrong == 0 and found.log_evidence > -np.inf
-    return _Cycled(usual, y, w, mean, cov, found)
+    return _Cycled(usual, start, y, w, mean, cov, found)
+
+
+@jit
+def _brought(inherited, one, own):
+    """What a prior had inherited, and what a cycle has left of that; and what that adds to evidence, nats."""
+    if not max(inherited.error, inherited.missed, inherited.wider) > 0.0:
+        return inherited, inherited, 0.0
+    if max(inherited.missed, inherited.wider) > 0.0:
+        inherited = after_prediction(inherited, kept(one.begin, one.y, one.w, one.cov))
+    found = one.found
+    about = found.x, found.w, found.lineage, (found.mean, found.cov), own
+    left, nats = left_by_reading(inherited, (one.mean, one.cov), *about)
+    return inherited, Inherited(*left), nats
 
 
 @jit
 def _told(s, one, two, count):
-    """Error that a cloud and its shadow tell of the prior's mean; and squares after the reading."""
+    """Square that a cloud and its shadow tell of the prior's mean; and those after the reading."""
     n, times = one.mean.size, count / s.size
     mean, variance = control.square_of_more(s.mean, times), control.square_of_more(s.variance, times)
     first, second, _ = compared(one.mean, one.cov, two.mean, two.cov)
     new = control.apart_by(first, second, n)
-    ahead = control.error_by(control.smoothed(mean, new, control.remembered(mean, new)))
+    ahead = control.smoothed(mean, new, control.remembered(mean, new))
     if mean != mean:
         mean = control.expected_square(two.found.effective)
         variance = (n + 1.0) * mean
