@@ -88,7 +88,6 @@ LONG = {
     "experiments/test_stress.py::test_random_problems_are_right_or_flagged[5]",
     "experiments/test_stress.py::test_the_judge_tells_right_from_wrong[GridFilter-right]",
     "experiments/test_stress.py::test_the_judge_tells_right_from_wrong[PriorFilter-wrong, silent]",
-    "experiments/test_sunspots.py::TestForecasts::test_densities_against_closed_form[pf-0.05]",
     "filter/test_budget.py::test_modes_have_as_many_points_as_fit",
     "filter/test_discrete_filter.py::test_smoothing_is_that_of_a_grid_and_of_kalmans_matrices",
     "filter/test_discrete_filter.py::test_stochastic_volatility_and_the_fit_of_its_memory",
