@@ -45,8 +45,9 @@ def on_clouds(
 ) -> list[tuple[ParticleDensity, float, float, float]]:
     """Smooth the epochs of a filter that carries clouds, from a start at the time of the first.
 
-    Returns the density, of as many points as the filter's scheme has, the log-evidence of all measurements,
-    nats, NaN for an extrapolated probability, and the error of the mean, in standard deviations, by epochs.
+    Returns the density, of as many points as the filter's scheme has or, of the last epoch, the filter's, the
+    log-evidence of all measurements, nats, NaN for an extrapolated probability, and the error of the mean, in
+    standard deviations, by epochs.
     """
     count = epochs[0].filt.config.scheme.n_points
     many, few = (side.smoothed(epochs, start, count) for side in (_Side(False), _Side(True)))
@@ -59,6 +60,9 @@ def on_clouds(
         error = math.hypot(error, one.log_evidence - many[-1].log_evidence)
         density = cloud_density(epoch.filt.density, *one.points[:2], sums[0], error=error, cloud=None)
         out.append((density, one.log_evidence, math.nan, error))
+    last = epochs[-1].filt.density  # nothing comes after it: that is the filter's, too
+    if last.error < error:
+        out[-1] = last, one.log_evidence, math.nan, last.error
     return out
 
 

@@ -42,6 +42,7 @@ from .cloud_smoother import POINTS, between, on_clouds
 #: Standard deviations that lattices of the smoother reach further than those of the filter: what β is beyond
 #: their edge is a guess, and stays one. Measured: half and twice move means of three records by .002 at most.
 _FURTHER = 0.8
+_TOLD = "log_evidence", "accepted", "error", "variance_error", "evidence_error", "flagged"  # by an update
 
 
 @dataclass(frozen=True)
@@ -266,7 +267,7 @@ def _forward(
     filt = copy.copy(filt)
     filt.config = replace(filt.config, exact_linear=False)  # its steps are those of the way back
     epochs = [_Epoch(copy.copy(filt), 0, [], 0)] if begun else []
-    rows, log_evidence, accepted = [], [], []
+    rows, told = [], []
     for t, (sensor, z), u in zip(times, read, inputs, strict=True):
         for stop in [*(filt.model.breaks(filt.t, t) if epochs else ()), t]:
             steps = _predicted(filt, stop, u) if stop > filt.t else 0
@@ -278,10 +279,10 @@ def _forward(
             epochs[-1].seen.append((driven(sensor, filt.inputs), z))
         epochs[-1].filt = copy.copy(filt)
         rows.append((filt.x_prior, filt.P_prior, filt.x, filt.P))
-        log_evidence.append(info.log_evidence)
-        accepted.append(info.accepted)
+        told.append([getattr(info, name) for name in _TOLD])
     x_prior, P_prior, x, P = (np.array(column) for column in zip(*rows, strict=True))
-    return epochs, FilterResult(times, x_prior, P_prior, x, P, np.array(log_evidence), np.array(accepted))
+    said = {name: np.array(column) for name, column in zip(_TOLD, zip(*told, strict=True), strict=True)}
+    return epochs, FilterResult(times, x_prior, P_prior, x, P, **said)
 
 
 def _predicted(filt: SPHFilter, t: float, u: Mapping[str, float] | None) -> int:
