@@ -9,9 +9,11 @@ import numpy as np
 
 from .._types import Floats, Ints
 from ..core.cloud.kernels import log_sum, log_sum_gradient, seen
-from ..core.limits import EDGE, OUTLYING, TINY
+from ..core.cloud.weights import effective
+from ..core.limits import EDGE, GOLDEN, LOOK, OUTLYING, TINY
 from ..core.monomials import up_to
 from ..core.sph.kernels import Kernel
+from .quasi_random import systematic
 
 #: Groups of points that have a kernel each; with twice as many, 10,000 points are a tenth better.
 _KERNELS = 1024
@@ -82,22 +84,56 @@ def local_kernels(x: Floats, mass: Floats) -> LocalKernels | None:
 
     Neighbours share a kernel, which has the covariance A C A of the group besides. What is left of the error
     is taken out of mean and covariance: they are those of the points.
+
+    That h is of one scale. Where pieces are narrower, points that were left out are likelier under narrower
+    kernels: h is halved as long as they are.
     """
-    found, n = _framed(x, mass), x.shape[1]
+    found = _whitened(x, mass)
     if found is None:
         return None
-    centre, whole, z, within = found
-    one, h = np.eye(n), _WIDTH * np.sum(mass**2) ** (1.0 / (n + 8))
+    within = _within(found[0], mass)
+    return _of_width(*found, mass, within, _narrower(x, mass, within))
+
+
+def _narrower(x: Floats, mass: Floats, within: Floats) -> float:
+    """Part of the usual width, halved as long as points left out are likelier by a standard error."""
+    order = np.argsort(GOLDEN * np.arange(len(x)) % 1.0)  # of all parts alike, whatever has put them in order
+    chosen, often = np.unique(systematic(mass[order], _KERNELS), return_counts=True)
+    halves = ((x[order[chosen[k::2]]], often[k::2] / often[k::2].sum()) for k in (0, 1))
+    (some, own), (others, w) = halves
+    if min(effective(own), effective(w)) < 0.25 * LOOK or np.isin(others, some).all(axis=1).any():
+        return 1.0  # too few to tell, or copies of each other, which no width is too narrow for
+    part, found = 1.0, _whitened(some, own)
+    usual = None if found is None else _of_width(*found, own, within, 1.0)
+    if found is None or usual is None:
+        return 1.0
+    told = usual.logpdf(others)
+    least = told - math.log(len(own))  # one that is far from all others says no more than that
+    while (finer := _of_width(*found, own, within, 0.5 * part)) is not None:
+        more = np.logaddexp(finer.logpdf(others), least)
+        gain = more - told
+        if not w @ gain > math.sqrt(w**2 @ (gain - w @ gain) ** 2):
+            break
+        part, told = 0.5 * part, more
+    return part
+
+
+def _of_width(
+    z: Floats, centre: Floats, whole: Floats, mass: Floats, within: Floats, part: float
+) -> LocalKernels | None:
+    """Kernels of points centre + whole z (N, n), by what is seen within a part of the usual h."""
+    n = z.shape[1]
+    one, h = np.eye(n), part * _WIDTH * np.sum(mass**2) ** (1.0 / (n + 8))
     w, z, C = _grouped(z @ np.linalg.inv(within).T, mass)
     m, S, number = np.empty_like(z), np.empty_like(C), np.empty_like(w)
     seen(w, z, h, m, S, number)
     flat = one - S / h**2  # what groups hide of the points is put back, as far as one sees in them
     hidden = C @ np.linalg.inv(one + C / h**2)
     m, S = m - np.einsum("kab,kbc,kc->ka", flat, hidden, m) / h**2, S + flat @ hidden @ flat
-    part = (number / (number + 0.5 * (n + 1)))[:, None, None]
-    values, axes = np.linalg.eigh(part * S + (1.0 - part) * h**2 * one)
+    known = (number / (number + 0.5 * (n + 1)))[:, None, None]
+    values, axes = np.linalg.eigh(known * S + (1.0 - known) * h**2 * one)
     A: Any = (axes * np.sqrt(values / h**2)[:, None]) @ axes.transpose(0, 2, 1)
-    z = z + np.linalg.solve(one + A, part * m[..., None])[..., 0]
+    z = z + np.linalg.solve(one + A, known * m[..., None])[..., 0]
     z, S = z - w @ z, A @ (h**2 * one + C) @ A
     own, wanted = (z * w[:, None]).T @ z + np.einsum("k,kab->ab", w, S), np.linalg.inv(within)
     factor = whole @ within @ _least_change(own, wanted @ wanted.T)
@@ -124,22 +160,22 @@ def _grouped(z: Floats, mass: Floats) -> tuple[Floats, Floats, Floats]:
     return w, mean, np.add.reduceat(np.einsum("k,ka,kb->kab", part, d, d), starts)
 
 
-def _framed(x: Floats, mass: Floats) -> tuple[Floats, ...] | None:
-    """Whitened coordinates z (N, n) of points x = centre + root z; None where their covariance is singular.
-
-    Centre, root, z, and the lower root (n, n) of the covariance within pieces that lie apart.
-    """
+def _whitened(x: Floats, mass: Floats) -> tuple[Floats, Floats, Floats] | None:
+    """Coordinates z (N, n), centre and root of points x = centre + root z; None where they are flat."""
     centre = mass @ x
     try:
         root = np.linalg.cholesky(((x - centre) * mass[:, None]).T @ (x - centre))
     except np.linalg.LinAlgError:
         return None
-    z = np.ascontiguousarray(np.linalg.solve(root, (x - centre).T).T)
+    return np.ascontiguousarray(np.linalg.solve(root, (x - centre).T).T), centre, np.asarray(root, float)
+
+
+def _within(z: Floats, mass: Floats) -> Floats:
+    """Lower root (n, n) of the covariance of whitened points within pieces that lie apart."""
     slope = _slope(z, mass)
     # Inverse of the slopes' second moments: covariance within the pieces, in no direction above the whole's.
     values, axes = np.linalg.eigh((slope * mass[:, None]).T @ slope)
-    within = np.linalg.cholesky((axes / np.maximum(values, 1.0)) @ axes.T)
-    return centre, *(np.asarray(part, dtype=float) for part in (root, z, within))
+    return np.asarray(np.linalg.cholesky((axes / np.maximum(values, 1.0)) @ axes.T), float)
 
 
 def _least_change(have: Floats, wanted: Floats) -> Floats:
