@@ -47,19 +47,18 @@ def by_lattice(
         moments = (density.mean(), density.cov()), (new.mean(), new.cov())
         left = shift_left_by_update(moments[0][1], moments[1][1], new.gaussian)
         error = math.hypot(left * density.error, found.off.mean, unsure, of_shape(density.rough, moments))
-        unknown, away = _beyond(density, new)
+        unknown = _beyond(density, new)
     except PropagationError as problem:
         if not flag and config.scheme == "auto":
             why = f"no lattice holds the posterior: {problem}"
             return by_cloud(density, asked, n_particles, config, why)
         if not flag:
             raise
-        unknown, away = f"not used: {flag}, where no lattice holds a posterior", OUTLYING
-        new = density
+        new, unknown = density, f"not used: {flag}, where no lattice holds a posterior"
         log_evidence = asked.gaussian_evidence
     far = Remote()
-    if unknown:  # the mean is as far off as the reading would move it, and later ones inherit that
-        new = density.noted(error=math.hypot(density.error, away))
+    if unknown:
+        new = density
     else:
         far, unheld = (far, None) if gaussian else _beyond_lattice(density, new, asked, log_evidence)
         known = {"lost": left * density.lost, "rough": left**ROUGH * density.rough, "left_out": unheld}
@@ -129,20 +128,16 @@ def _extrapolated(prior: ParticleDensity, posterior: ParticleDensity) -> float:
     return extrapolated_mass(prior.field, posterior.x, posterior.mass, prior.walls)
 
 
-def _beyond(prior: ParticleDensity, posterior: ParticleDensity) -> tuple[str, float]:
-    """Say so where the posterior lies so far outside of the prior's particles that its shape is a guess.
-
-    And how many standard deviations of the prior it is off its mean.
-    """
+def _beyond(prior: ParticleDensity, posterior: ParticleDensity) -> str:
+    """Say so where the posterior lies so far outside of the prior's particles that its shape is a guess."""
     L = np.linalg.cholesky(prior.cov())
-    away = float(np.linalg.norm(np.linalg.solve(L, posterior.mean() - prior.mean())))
+    away = np.linalg.norm(np.linalg.solve(L, posterior.mean() - prior.mean()))
     if away < OUTLYING:
-        return "", away
+        return ""
     edge = np.linalg.norm(np.linalg.solve(L, (prior.x - prior.mean()).T), axis=0).max()
     if away - edge < (_TRUSTED_GAUSSIAN if prior.gaussian else OUTLYING):
-        return "", away
+        return ""
     return (
         f"not used: the posterior would lie {away - edge:.0f} standard deviations outside of the prior's "
-        f"particles, where its density is a guess",
-        away,
+        f"particles, where its density is a guess"
     )

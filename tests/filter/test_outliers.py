@@ -62,25 +62,6 @@ def test_a_prediction_of_no_time_tells_what_the_reading_did(text, record):
     assert after.variance_error > 0.9 * told.variance_error
 
 
-def test_readings_after_one_that_was_refused_are_flagged_as_long_as_it_matters():
-    """A state that is read and another with a drift that jumps: Kalman's filter knows the first exactly."""
-    a, q, R, dt = 0.5, 0.36, 0.0668, 0.3
-    model = sf.SDE.from_expressions(["x", "y"], ["-0.5*x", "-2*tanh(2*y)"], [["0.6", "0"], ["0", "0.6"]])
-    sensor = sf.GaussianMeasurement([[1.0, 0.0]], [[R]])
-    start = {"x0": [0.3, 0.2], "P0": 0.3 * np.eye(2)}
-    flt, (m, P) = sf.SPHFilter(model, sensor, **start), (0.3, 0.3)
-    kept = np.exp(-2.0 * a * dt)
-    for z in (1.83, 1.66, 1.6, 0.99, 7.2, 0.59, 0.64, -0.08):
-        flt.predict(dt)
-        told = flt.update([z])
-        m, P = m * np.sqrt(kept), P * kept + q / (2.0 * a) * (1.0 - kept)
-        gain = P / (P + R)
-        m, P = m + gain * (z - m), P * (1.0 - gain)
-        off = abs(flt.x[0] - m) / np.sqrt(P)
-        assert off < 0.03 or told.flagged
-        assert off < 3.0 * np.sqrt(2.0) * told.error
-
-
 @pytest.mark.parametrize("n", [2, 3])
 def test_what_an_outlier_leaves_is_told_as_a_kalman_filter_knows_it(n):
     """Ten linear models, the third of six readings 7 to 11 deviations off, forced clouds of 1,024 points."""
