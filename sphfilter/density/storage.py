@@ -147,9 +147,8 @@ def _cloud_from(arrays: Arrays, about: dict[str, Any], models: Sequence[Dynamics
     points, shadow = (_points_from(part(name, arrays), models) for name in ("points", "shadow"))
     size = arrays["size"].item() or len(points.w)  # older files have none where a reading began the cloud
     told, age = Told(*arrays["told"].tolist()), int(arrays.get("age", 0))  # older files have none
-    return _as_cloud(
-        CloudState(points, shadow, size, told, pace, _inherited_from(arrays, points), age), about
-    )
+    inherited = _inherited_from(arrays, points)
+    return _as_cloud(CloudState(points, shadow, size, told, pace, inherited, age), about)
 
 
 def _as_cloud(state: CloudState, about: dict[str, Any]) -> ParticleDensity:
@@ -170,9 +169,8 @@ def _points_of_families(arrays: Arrays, about: dict[str, Any]) -> ParticleDensit
     x, w = weighted_points(log_p, about["moments"], FEW_STATES, 0)
     points = Points(matched(x, w, *about["moments"]), w)
     few = w[::SHADOW] / w[::SHADOW].sum()
-    state = CloudState(
-        points, Points(points.x[::SHADOW], few), FEW_STATES, inherited=FRESH._replace(error=about["error"])
-    )
+    brought = FRESH._replace(error=about["error"])
+    state = CloudState(points, Points(points.x[::SHADOW], few), FEW_STATES, inherited=brought)
     return _as_cloud(state._replace(age=(about["needs"] or Memory()).age), about)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from .._types import Floats
 from ..config import CloudScheme, FilterConfig
 from ..core._views import as_compiled
-from ..core.cloud.control import both, errors_told, evidence_error, shown, wrong_beside
+from ..core.cloud.control import both, errors_told, evidence_error, shown
 from ..core.cloud.inherited import (
     Inherited,
     error_with,
@@ -28,7 +28,7 @@ from ..density.points import CloudState, Pace, Points, Told
 from ..density.quasi_random import systematic
 from ..errors import PropagationError
 from ..info import Code
-from ..prediction.cloud import as_points, shadow_size, squared_differences
+from ..prediction.cloud import as_points, or_doubtful, shadow_size, squared_differences
 from .guided import weighed
 from .reading_at_prior import Posterior, ReadingAtPrior, info_fields
 from .stacked import Stacked
@@ -56,13 +56,13 @@ def by_cloud(
             "unit and its noise"
         )
     found = found.inheriting(state)
-    error, doubt, code = found.error, 2.0 * found.spread, Code.CLOUD
+    error, code = found.error, Code.CLOUD
     known = {"capacity": n_particles, "error": error, "rough": 0.0}  # of which `inherited` knows
     target = config.target_error
     new = cloud_of(density, found.left(flagged_from(target)), found.moments, **known)
     status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard deviations"
-    if doubt > wrong_beside(flagged_from(target)) and error < doubtful_from(target):  # else said of the mean
-        status, code = f"{status}, but the variance may be off by {doubt:.0%}", code | Code.UNRESOLVED
+    if error < doubtful_from(target):  # else it is said of the mean
+        status, code = or_doubtful(status, code, found.spread, flagged_from(target))
     said = info_fields(asked, "cloud", found.log_evidence, error, found.evidence_error)
     said |= {"variance_error": found.variance_error, "code": code}
     return new, said | {"status": f"{status}; {why}" if why else status}

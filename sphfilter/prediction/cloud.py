@@ -79,10 +79,10 @@ def propagate(
     error = max(moved.error, before)
     wider = max(moved.variance_error, math.sqrt(2.0) * error)
     info = info_of(model, scheme.n_points, moved.steps, moved.lost, error, wider)
-    wider = moved.state.inherited.wider  # of a reading that was flagged for it
-    if target > 0.0 and may_be_wrong(wider, doubtful_from(target)):
-        status = f"{info.status}, but the variance may be off by {2.0 * wider:.0%}"
-        info = info.noted(status=status, code=info.code | Code.UNRESOLVED)
+    if target > 0.0:
+        wider = moved.state.inherited.wider  # of a reading that was flagged for it
+        status, code = or_doubtful(info.status, info.code, wider, doubtful_from(target))
+        info = info.noted(status=status, code=code)
     return new, info
 
 
@@ -275,6 +275,13 @@ def _blow_up(model: Dynamics, points: Points, t0: float, t1: float) -> str:
     x = points.x if points.path is None else points.path.x
     x = x[np.argsort(np.abs(model.drift(x, t0)).sum(axis=1))[-LOOK:]]
     return carried_off(model, x, t0, t1) or blow_up(model, x[-1], t0, t0, t1)
+
+
+def or_doubtful(status: str, code: Code, variance: float, flagged: float) -> tuple[str, Code]:
+    """Status and code of a cloud, which say so where its variances may be wrong by what is told of them."""
+    if not may_be_wrong(variance, flagged):
+        return status, code
+    return f"{status}, but the variance may be off by {2.0 * variance:.0%}", code | Code.UNRESOLVED
 
 
 def info_of(
