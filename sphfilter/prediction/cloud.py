@@ -198,7 +198,7 @@ def squared_differences(
         off = domain.mean(shadow.x, shadow.w) - domain.mean(points.x, points.w)
         other = mean + domain.nearest(off[None])[0]
     first, second, most = compared(mean, cov, other, own)
-    return apart_by(first, second, len(mean)), most
+    return apart_by(first, second), most
 
 
 def unrolled_about_mean(points: Points, domain: Domain | None) -> Points:

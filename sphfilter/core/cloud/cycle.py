@@ -200,7 +200,7 @@ def _added(about, s, one, target, curve):
     if not few.usual:
         return np.nan
     first, second, most = compared(one.found.mean, one.found.cov, few.found.mean, few.found.cov)
-    off = control.error_by(control.apart_by(first, second, n))
+    off = control.error_by(control.apart_by(first, second))
     return control.decisive(off, control.error_by(most), target, n)
 
 
@@ -325,13 +325,13 @@ def _told(s, one, two, count):
     n, times = one.mean.size, count / s.size
     mean, variance = control.square_of_more(s.mean, times), control.square_of_more(s.variance, times)
     first, second, _ = compared(one.mean, one.cov, two.mean, two.cov)
-    new = control.apart_by(first, second, n)
+    new = control.apart_by(first, second)
     ahead = control.smoothed(mean, new, control.remembered(mean, new))
     if mean != mean:
         mean = control.expected_square(two.found.effective)
         variance = (n + 1.0) * mean
     first, second, most = compared(one.found.mean, one.found.cov, two.found.mean, two.found.cov)
-    new = control.apart_by(first, second, n)
+    new = control.apart_by(first, second)
     part = control.remembered(mean, new)
     mean = control.smoothed(mean, new, part)
     off = one.found.log_evidence - two.found.log_evidence

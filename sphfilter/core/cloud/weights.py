@@ -66,30 +66,25 @@ def extent(cov):
 def compared(mean, cov, other, own):
     """Squared errors that two clouds show of a mean (n,) and a covariance (n, n), in units of the first's.
 
-    Of the mean on average over the states, in standard deviations; of the covariance relative, over n; and
-    of that variance which is off most, if this is more.
+    Of the mean, in standard deviations of its states, and of their variances, relative: on average over the
+    states; of the covariance relative, over n, or of that variance which is off most, if this is more.
     """
-    n = mean.size
-    L, off, wider = np.empty((n, n)), np.empty(n), np.empty((n, n))
-    if not cholesky(floored(cov, 0.0), L):
+    n, P = mean.size, floored(cov, 0.0)
+    L, wider = np.empty((n, n)), (own - cov).T.copy()
+    if not cholesky(P, L):
         return np.nan, np.nan, np.nan
-    for a in range(n):
-        off[a] = other[a] - mean[a]
-        for b in range(n):
-            wider[b, a] = own[a, b] - cov[a, b]
-    whiten(L, off)
     for a in range(n):
         whiten(L, wider[a])
     wider = wider.T.copy()
-    first = second = most = 0.0
+    first = second = together = most = 0.0
     for a in range(n):
         whiten(L, wider[a])
-        first += off[a] * off[a] / n
         for b in range(n):
-            second += wider[a, b] * wider[a, b] / n
-        if cov[a, a] > 0.0:
-            most = max(most, (own[a, a] / cov[a, a] - 1.0) ** 2)
-    return first, second, max(second, most)
+            together += wider[a, b] * wider[a, b] / n
+        first += (other[a] - mean[a]) ** 2 / P[a, a] / n
+        square = (own[a, a] / P[a, a] - 1.0) ** 2 if cov[a, a] > 0.0 else 0.0
+        second, most = second + square / n, max(most, square)
+    return first, second, max(together, most)
 
 
 @jit
