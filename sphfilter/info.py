@@ -28,6 +28,11 @@ def may_be_off(error: float) -> str:
     return f"the mean may be off by {WITHIN * error:.2g} standard deviations"
 
 
+def target_missed(error: float, target: float) -> str:
+    """Sentence for a density whose error is more than was asked for."""
+    return f"the mean is good to {error:.2g} standard deviations, not to the {target:g} asked for"
+
+
 class Code(IntFlag):
     """What was unusual about a step, for programs; `status` says it in words.
 
@@ -51,7 +56,7 @@ class Code(IntFlag):
     LATE = auto()  # the time budget was exceeded, or left no time for a try on more particles
     CLOUD = auto()  # the density goes on as a cloud of weighted points
     UNRESOLVED = auto()  # the estimated error is above what the answer may be trusted with
-    COARSE = auto()  # the estimated error is above twice the target
+    COARSE = auto()  # the estimated error is above two and a half targets
 
 
 #: What schemes put in the place of a density.

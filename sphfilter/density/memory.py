@@ -92,11 +92,6 @@ def flagged_from(target: float) -> float:
     return min(_FLAGGED * target, max(DOUBTFUL, MISSED * target))
 
 
-def doubtful_from(target: float) -> float:
-    """Error told of a mean, from which a step is nothing usual, in standard deviations."""
-    return max(DOUBTFUL, flagged_from(target))
-
-
 def tolerated_excess(dim: int) -> float:
     """Factor of its error budget, up to which a family is taken all the same.
 

@@ -20,7 +20,7 @@ from ..core.cloud.inherited import (
 )
 from ..core.cloud.pace import Steps
 from ..density.as_cloud import cloud_of
-from ..density.memory import doubtful_from, flagged_from
+from ..density.memory import flagged_from
 from ..density.moments import columns, moments
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Use, moved_points, stored_key
@@ -56,13 +56,12 @@ def by_cloud(
             "unit and its noise"
         )
     found = found.inheriting(state)
-    error, code = found.error, Code.CLOUD
+    error, code, told = found.error, Code.CLOUD, flagged_from(config.target_error)
     known = {"capacity": n_particles, "error": error, "rough": 0.0}  # of which `inherited` knows
-    target = config.target_error
-    new = cloud_of(density, found.left(flagged_from(target)), found.moments, **known)
+    new = cloud_of(density, found.left(told), found.moments, **known)
     status = f"on a cloud of {new.n_particles} points: the mean is good to {error:.2g} standard deviations"
-    if error < doubtful_from(target):  # else it is said of the mean
-        status, code = or_doubtful(status, code, found.spread, flagged_from(target))
+    if error < told:  # else it is said of the mean
+        status, code = or_doubtful(status, code, found.spread, told)
     said = info_fields(asked, "cloud", found.log_evidence, error, found.evidence_error)
     said |= {"variance_error": found.variance_error, "code": code}
     return new, said | {"status": f"{status}; {why}" if why else status}

@@ -15,7 +15,7 @@ from ..density.memory import Memory, error_budget, flagged_from, tolerated_exces
 from ..density.particle_density import ParticleDensity
 from ..density.pieces import OF_CHANGE, Pieces, merged
 from ..density.resample import on_lattice
-from ..info import DOUBTFUL, Code, may_be_off
+from ..info import DOUBTFUL, Code, may_be_off, target_missed
 from ..lattice.level_set import min_nodes, root_of
 from ..lattice.resolved import MOST
 from ..model.measurements import block, is_gaussian
@@ -172,8 +172,3 @@ def _flagged_if_missed(said: dict[str, Any], target: float) -> dict[str, Any]:
     if said["error"] <= flagged_from(target):
         return said | {"status": "ok", "code": Code.OK}
     return said | {"status": target_missed(said["error"], target), "code": Code.COARSE}
-
-
-def target_missed(error: float, target: float) -> str:
-    """Sentence for a posterior whose error is more than was asked for."""
-    return f"the mean is good to {error:.2g} standard deviations, not to the {target:g} asked for"

@@ -15,7 +15,7 @@ from .._types import Floats
 from ..config import CloudScheme
 from ..core.cloud import cycle
 from ..density.as_cloud import cloud_of
-from ..density.memory import MISSED, Memory, doubtful_from, flagged_from
+from ..density.memory import MISSED, Memory, flagged_from
 from ..density.particle_density import ParticleDensity
 from ..density.passage import Through, put_through
 from ..density.points import CloudState
@@ -153,8 +153,8 @@ class _Run:
         count = needs.cloud(target, model.dim)
         K = min(len(Z), max(_POINTS // count, 1)) if self._steady else 1
         times, Z = times[: K + 1], Z[:K]
-        told = flagged_from(target), doubtful_from(target), DOUBTFUL
-        bounds = cycle.Bounds(target, MISSED * target, *told, CloudScheme().max_steps)
+        most = CloudScheme().max_steps
+        bounds = cycle.Bounds(target, MISSED * target, flagged_from(target), DOUBTFUL, most)
         about = (count, shadow_size(count)), needs.calm, bounds
         reader = self._stacked(Z[0], times[1]).reader
         assert reader is not None

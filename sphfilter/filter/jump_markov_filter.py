@@ -18,7 +18,7 @@ from ..density.modes import ModeDensities
 from ..density.particle_density import ParticleDensity
 from ..density.weighted import WeightedStates
 from ..errors import ModelError
-from ..info import DOUBTFUL, NOTHING_CAME, Code
+from ..info import DOUBTFUL, NOTHING_CAME, Code, target_missed
 from ..lattice.level_set import min_nodes
 from ..model.compile import StateFunction
 from ..model.dynamics import Dynamics
@@ -31,7 +31,6 @@ from ..prediction.jumping import suits
 from ..prediction.mixing_modes import whatever_the_mode
 from ..prediction.switching import ModesInfo, ModesPrediction, points_of_modes, predict_modes
 from ..validate import end_of, short
-from .by_ladder import target_missed
 from .checkpoint import restored_modes
 from .names import suggest_keyword
 from .readings import checked_sensor, numbers_of, rows_of, sensor_of

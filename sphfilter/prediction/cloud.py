@@ -28,7 +28,7 @@ from ..density.as_cloud import cloud_of
 from ..density.as_family import moments_on_line
 from ..density.defect import read_out
 from ..density.left_out import LeftOut
-from ..density.memory import doubtful_from
+from ..density.memory import flagged_from
 from ..density.moments import columns, moments
 from ..density.particle_density import ParticleDensity
 from ..density.passage import (
@@ -81,7 +81,7 @@ def propagate(
     info = info_of(model, scheme.n_points, moved.steps, moved.lost, error, wider)
     if target > 0.0:
         wider = moved.state.inherited.wider  # of a reading that was flagged for it
-        status, code = or_doubtful(info.status, info.code, wider, doubtful_from(target))
+        status, code = or_doubtful(info.status, info.code, wider, flagged_from(target))
         info = info.noted(status=status, code=code)
     return new, info
 

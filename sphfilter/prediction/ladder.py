@@ -16,11 +16,11 @@ from ..core.family.rules import degrees
 from ..core.limits import HIGHEST, LITTLE
 from ..density.as_family import as_polynomials, family_density, moments_on_line
 from ..density.family import ON_LATTICE, gaussian_family
-from ..density.memory import Memory, doubtful_from, error_budget, tolerated_excess, usual_points
+from ..density.memory import Memory, error_budget, flagged_from, tolerated_excess, usual_points
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError, UnresolvedError
-from ..info import Code, PredictInfo
+from ..info import Code, PredictInfo, target_missed
 from ..lattice.level_set import min_nodes
 from ..lattice.resolved import TIMES
 from ..model.discrete import DiscreteModel
@@ -147,7 +147,7 @@ def _by_family(
     if best is None:
         return None
     (moved, info), degree, used = best
-    return moved.noted(needs=needs.followed(degree - (used < LITTLE))), info
+    return moved.noted(needs=needs.followed(degree - (used < LITTLE))), as_asked(info, target)
 
 
 def _by_pieces(
@@ -220,6 +220,8 @@ def _by_lattice(
 def as_asked(info: PredictInfo, target: float) -> PredictInfo:
     """The info of a rung that the target asked for, and not of one that took another's place."""
     usual = Code.CLOUD | Code.FINER
-    if info.code & ~usual or not info.error < doubtful_from(target):
+    if info.code & ~usual:
         return info
-    return info.noted(status="ok", code=Code.OK)
+    if info.error <= flagged_from(target):
+        return info.noted(status="ok", code=Code.OK)
+    return info.noted(status=target_missed(info.error, target), code=Code.COARSE)

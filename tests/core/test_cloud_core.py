@@ -194,8 +194,7 @@ def test_strata_copy_each_point_as_often_as_its_weight_says():
 
 
 def test_two_clouds_are_compared_whatever_the_units():
-    P = np.array([[2.0, 0.3], [0.3, 1.0]])
-    off = 0.1 * np.sqrt(np.diag(P)) * [1.0, 0.0]
+    P, off = np.array([[2.0, 0.3], [0.3, 1.0]]), np.sqrt([0.02, 0.0])
     first, second, most = compared(np.zeros(2), P, off, 1.2 * P)
     assert first == pytest.approx(0.005) and second == most == pytest.approx(0.04)
     assert compared(np.zeros(2), P, np.zeros(2), P + np.diag([0.0, 0.5]))[1:] == pytest.approx((0.125, 0.25))

@@ -85,8 +85,7 @@ class Bounds(NamedTuple):
 
     target: float
     missed: float  # from which a reading is looked at again
-    flagged: float  # from which it is flagged
-    unresolved: float  # from which a prediction is
+    flagged: float  # from which it is flagged, and a prediction is
     doubtful: float  # in which nothing is right
     most: int  # steps
 
@@ -149,8 +148,8 @@ def put_through(parts, motion, sensor, spans, standing, bounds, curve):
         if reader.h != NOWHERE_AT:  # of a linear sensor the moments say it
             off[j], S[j] = foreseen(about[3], one.y, one.w, one.mean)
         ahead = control.error_ahead(ahead, old, bias)
-        flagged[j] = not ahead < bounds.unresolved or control.may_be_wrong(old.wider, bounds.unresolved)
-        flagged[j] |= not error[j] <= bounds.flagged or control.may_be_wrong(doubt, bounds.flagged)
+        flagged[j] = not (ahead <= bounds.flagged and error[j] <= bounds.flagged)
+        flagged[j] |= control.may_be_wrong(max(old.wider, doubt), bounds.flagged)
         told = control.decisive(control.error_by(squares[0]), control.error_by(squares[1]), bounds.target, n)
         wanted = control.points_for(count, told, bounds.target, n)
         points, calm = control.next_points(count, wanted, s.calm)
