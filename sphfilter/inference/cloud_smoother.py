@@ -1,12 +1,14 @@
 """Smoothing on points: λ is carried back over the filter's clouds, and points that it leads go forward.
 
 The second way forward is a particle filter of its own, whose weights are exact whatever λ is. Its points lie
-where all measurements find the state: in six states hardly one in a hundred of the filter's does.
+where all measurements find the state: in six states hardly one in a hundred of the filter's does. But λ has
+to be quadratic about each block. Where it is not, the filter's points get weights by how likely those of
+later epochs come from them, and need nothing but transitions that are wider than the points are apart.
 """
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -49,20 +51,45 @@ def on_clouds(
     log-evidence of all measurements, nats, NaN for an extrapolated probability, and the error of the mean, in
     standard deviations, by epochs.
     """
-    count = epochs[0].filt.config.scheme.n_points
-    many, few = (side.smoothed(epochs, start, count) for side in (_Side(False), _Side(True)))
-    out, told = [], Told()
-    for epoch, one, other in zip(epochs, many, few, strict=True):
+    count, sides = epochs[0].filt.config.scheme.n_points, (_Side(False), _Side(True))
+    backs = [side.back(epochs) for side in sides]
+    led = (side.smoothed(epochs, start, count, back) for side, back in zip(sides, backs, strict=True))
+    found = _told(led, count)
+    if any(each.error > epoch.filt.density.error for each, epoch in zip(found, epochs, strict=True)):
+        weighted = (side.weighted(epochs, back) for side, back in zip(sides, backs, strict=True))
+        pairs = zip(found, _told(weighted, count), strict=True)
+        found = [min(pair, key=lambda each: each.error) for pair in pairs]
+    out = []
+    for epoch, each in zip(epochs, found, strict=True):
+        own: Any = {"error": each.error, "cloud": None}
+        density = cloud_density(epoch.filt.density, *each.points[:2], each.moments, **own)
+        out.append((density, each.log_evidence, math.nan, each.error))
+    last = epochs[-1].filt.density  # nothing comes after it: that is the filter's, too
+    if last.error < found[-1].error:
+        out[-1] = last, found[-1].log_evidence, math.nan, last.error
+    return out
+
+
+class _Told(NamedTuple):
+    """Points given all measurements, their mean and covariance, the log-evidence, the error of the mean."""
+
+    points: Points
+    moments: tuple[Floats, Floats]
+    log_evidence: float
+    error: float
+
+
+def _told(clouds: Iterable[list[_Smoothed]], count: int) -> list[_Told]:
+    """Points of every epoch with the error that the shadow beside them tells, of a cloud and a shadow."""
+    many, few = clouds
+    out, told = list[_Told](), Told()
+    for one, other in zip(many, few, strict=True):
         sums = [moments(side.points.x, side.points.w) for side in (one, other)]
         told = told.after(*squared_differences(one.points, other.points, None, sums))
         error = max(error_by(told.mean), least_error(effective(one.points.w), count))
         # the evidence with λ in it, beside that without: so many nats are about as many standard deviations
         error = math.hypot(error, one.log_evidence - many[-1].log_evidence)
-        density = cloud_density(epoch.filt.density, *one.points[:2], sums[0], error=error, cloud=None)
-        out.append((density, one.log_evidence, math.nan, error))
-    last = epochs[-1].filt.density  # nothing comes after it: that is the filter's, too
-    if last.error < error:
-        out[-1] = last, one.log_evidence, math.nan, last.error
+        out.append(_Told(one.points, sums[0], one.log_evidence, error))
     return out
 
 
@@ -76,14 +103,24 @@ def between(filt: SPHFilter, t: float, n_steps: int, u: Any) -> list[ParticleDen
     return densities
 
 
+class _Back(NamedTuple):
+    """A way back over the filter's points."""
+
+    said: Said  # of the first epoch's states
+    legs: list[list[Leg]]  # of every interval
+    parts: list[list[tuple[Points, Ahead]]]  # of every interval: points where it begins, and where they come
+
+
 class _Side(NamedTuple):
     """The cloud, or its shadow: an eighth of the points, and fewer parts of each interval."""
 
     shadow: bool
 
-    def smoothed(self, epochs: Sequence[Any], start: ParticleDensity, count: int) -> list[_Smoothed]:
-        """Points of every epoch, given all measurements."""
-        said, legs = self._back(epochs)
+    def smoothed(
+        self, epochs: Sequence[Any], start: ParticleDensity, count: int, back: _Back
+    ) -> list[_Smoothed]:
+        """Points of every epoch, given all measurements: led by what is said of them."""
+        said, legs, _ = back
         count = max(count // SHADOW, 256) if self.shadow else count
         x, log_w = _started(start, said, count, stored_key(0, self.shadow))
         log_w += epochs[0].log_likelihood(x)
@@ -101,6 +138,17 @@ class _Side(NamedTuple):
         w, log_evidence = _weights(log_w, None)
         return [*out, _Smoothed(Points(x, w), log_evidence)]
 
+    def weighted(self, epochs: Sequence[Any], back: _Back) -> list[_Smoothed]:
+        """The filter's points of every epoch, with weights given all measurements."""
+        last, first = epochs[-1].filt, epochs[0].filt
+        points, log_evidence = self._points(last.density, last.config.scheme.n_points), last.log_evidence
+        out = [points]
+        for parts in back.parts[::-1]:
+            for begin, ahead in parts[::-1]:
+                points = Points(begin.x, ahead.weights(begin.w, points.x, points.w))
+            out.append(points)
+        return [_Smoothed(each, log_evidence - first.log_evidence) for each in out[::-1]]
+
     def _points(self, density: ParticleDensity, count: int) -> Points:
         """Points of a density, a few thousand of them, evenly along the curve."""
         state = as_points(density, count)
@@ -110,21 +158,23 @@ class _Side(NamedTuple):
         order = along(x, w)
         return Points(x[order[systematic(w[order], POINTS)]], np.full(POINTS, 1.0 / POINTS))
 
-    def _back(self, epochs: Sequence[Any]) -> tuple[Said, list[list[Leg]]]:
-        """What is said of the first epoch's states, and the legs of every interval."""
+    def back(self, epochs: Sequence[Any]) -> _Back:
+        """The way back over the filter's points."""
         last: Any = epochs[-1]
-        legs: list[list[Leg]] = []
+        legs, parts = list[list[Leg]](), list[list[tuple[Points, Ahead]]]()
         x, w = self._points(last.filt.density, last.filt.config.scheme.n_points)[:2]
         said = Said(x, w, last.log_likelihood(x))
         for before, after in zip(epochs[-2::-1], epochs[:0:-1], strict=True):
-            way: list[Leg] = []
+            way, passed = list[Leg](), list[tuple[Points, Ahead]]()
             for leg, points in self._over(before.filt, after):
                 way.insert(0, leg(said))
                 ahead = Ahead.of(*points[:2], way[0], stored_key(len(legs), 4 + self.shadow))
                 said = Said(*points[:2], ahead.said)
+                passed.insert(0, (points, ahead))
             said = said._replace(values=said.values + before.log_likelihood(said.x))
             legs.insert(0, way)
-        return said, legs
+            parts.insert(0, passed)
+        return _Back(said, legs, parts)
 
     def _over(self, filt: SPHFilter, after: Any) -> list[tuple[Any, Points]]:
         """Parts of an interval from the last one back: legs of what is said at their ends; and points."""

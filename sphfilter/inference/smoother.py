@@ -142,8 +142,11 @@ def smooth(
     lattices. In three and more, and where the filter's scheme is the cloud, it goes back over the filter's
     clouds, from points each of whose transitions is linearised; then points led by it go forward once more.
     Their weights are exact but for β itself; intervals of strongly nonlinear models go in parts. No noise is
-    too small, and none has to be on every state. `SmoothedResult.error` tells what is left, by a cloud of an
-    eighth of the points in longer parts; if it is too much, take more: ``scheme=CloudScheme(n_points=...)``.
+    too small, and none has to be on every state. Where these are told to be worse than the filter, as where β
+    has several peaks, the filter's own points are weighted by how likely later ones come from them (Doucet,
+    Godsill, Andrieu 2000), and each epoch has what tells less. `SmoothedResult.error` tells what is left, by
+    a cloud of an eighth of the points in longer parts; if it is too much, take more:
+    ``scheme=CloudScheme(n_points=...)``.
     The start is taken as its pdf says: of a filter that carries a cloud already, one of kernels.
 
     Examples

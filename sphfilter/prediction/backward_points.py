@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._types import Floats, Ints
-from ..core.cloud.ahead import LEAST, expected, fitted, led
+from ..core.cloud.ahead import LEAST, expected, fitted, led, shared_out
 from ..core.cloud.blocks import block_roots, blocks_of, centres
 from ..core.cloud.pace import Steps
 from ..core.limits import FAR
@@ -68,6 +68,13 @@ class Ahead(NamedTuple):
         """λ (N,) of the points in the order in which they were given."""
         out = np.empty(len(self.order))
         out[self.order] = self.values
+        return out
+
+    def weights(self, w: Floats, y: Floats, later: Floats) -> Floats:
+        """Weights (N,) given all measurements, of points of weights w (N,), by `later` (M,), those of y."""
+        (end, lower, _), out, own = self.ends, np.empty(len(w)), np.empty(len(w))
+        shared_out(end, rooted(_squares(lower)), w[self.order], np.ascontiguousarray(y), later, own)
+        out[self.order] = own
         return out
 
     def led_on(self, w: Floats, key: int) -> tuple[Floats, Floats]:

@@ -129,6 +129,25 @@ def test_curved_models_as_on_lattices(name):
     assert np.all(made[found.error < 0.1] < 0.03) and np.any(found.error < 0.1)
 
 
+def test_wells_of_three_states_as_each_by_itself():
+    """What later readings say of two peaks is no quadratic: the filter's points are weighted by them."""
+    sensor = sf.GaussianMeasurement.from_expressions(list("xyv"), ["x**2", "y"], noise_cov=0.1 * np.eye(2))
+    times, (x0, P0) = 0.5 * np.arange(1, 7), ([0.5] * 3, 0.3 * np.eye(3))
+    wells = text(list("xyv"), ["x - x**3", "y - y**3", "v - v**3"], np.eye(3), 0.5 * np.eye(3))
+    z = simulated(wells, sensor, x0, times, 2)
+    found = sf.smooth(sf.SPHFilter(wells, sensor, x0, P0), times, z)
+    square = sf.GaussianMeasurement.from_expressions(["x"], ["x**2"], noise_cov=[[0.1]])
+    sides = zip((square, position(1, 0.1), position(1, 0.1)), (*z.T, [None] * 6), strict=True)
+    alone = [
+        sf.smooth(sf.SPHFilter(WELL, one, [0.5], [[0.3]], n_particles=300), times, each)
+        for one, each in sides
+    ]
+    x, P = (np.hstack([getattr(each, name).reshape(6, 1) for each in alone]) for name in ("x", "P"))
+    made = np.sqrt(np.mean((found.x - x) ** 2 / P, axis=1))
+    assert made.max() < 0.1 and np.sqrt(np.mean(made**2)) < 3.0 * np.sqrt(np.mean(found.error**2)) < 0.3
+    assert np.abs(np.diagonal(found.P, axis1=1, axis2=2) / P - 1.0).max() < 0.2
+
+
 @pytest.mark.parametrize("count", [512, pytest.param(2048, marks=pytest.mark.slow)])
 def test_a_cart_as_with_many_points(count):
     times = 2.0 * np.arange(1, 5)

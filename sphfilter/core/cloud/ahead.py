@@ -10,7 +10,9 @@ import numpy as np
 from numba import prange
 
 from .._jit import jit, parallel_jit
+from ..limits import NOTHING
 from ..small_matrices import cholesky, invert_lower, whiten
+from .noise import LANES
 
 #: Points that a fit has at least, effectively, over its coefficients: residuals of fewer tell nothing.
 _EACH = 3.0  # measured: half and twice leave 1.04 and 1.3 times the errors of Van der Pol's means
@@ -187,3 +189,49 @@ def _drawn(r, F, free, z):
                 along += F[e, a] * z[e]
             log_ratio -= 0.5 * along * along
     return math.log((1.0 - 1.0 / FREE) * math.exp(min(log_ratio, 600.0)) + 1.0 / FREE)
+
+
+@parallel_jit
+def shared_out(end, root, w, y, later, out):
+    """Fill `out` (N,) with weights that points of weights w (N,) have of those, `later` (M,), at y (M, n).
+
+    Points come to N(end, L Lᵀ), of ends (N, n) and lower L (N, n, n). Each y shares its weight out among them
+    by how likely it is to come from each (Doucet, Godsill, Andrieu 2000).
+    """
+    (N, n), M = end.shape, len(y)
+    white, size, some = np.empty((n, n, N)), np.empty(N), np.zeros((-(-M // LANES), N))
+    for i in prange(N):
+        white[:, :, i], size[i] = invert_lower(root[i]), math.log(w[i]) if w[i] > 0.0 else -np.inf
+        for a in range(n):
+            size[i] -= math.log(root[i, a, a])
+    ends = end.T.copy()
+    for k in prange(len(some)):
+        part, along = np.empty(N), np.empty(N)
+        for j in range(k * LANES, min((k + 1) * LANES, M)):
+            _parts(ends, white, size, y[j], along, part)
+            for i in range(N):
+                some[k, i] += later[j] * part[i]
+    out[:] = 0.0
+    for k in range(len(some)):
+        for i in range(N):
+            out[i] += some[k, i]
+
+
+@jit
+def _parts(end, white, size, y, along, out):
+    """Probabilities (N,) that y (n,) comes from each point, of ends (n, N) and L⁻¹ (n, n, N)."""
+    n, N = end.shape
+    out[:] = size
+    for a in range(n):
+        along[:] = 0.0
+        for b in range(a + 1):
+            for i in range(N):
+                along[i] += white[a, b, i] * (y[b] - end[b, i])
+        for i in range(N):
+            out[i] -= 0.5 * along[i] * along[i]
+    most, total = out.max(), 0.0
+    for i in range(N):
+        out[i] = math.exp(out[i] - most) if out[i] > most - NOTHING else 0.0
+        total += out[i]
+    for i in range(N):
+        out[i] /= total
