@@ -54,10 +54,15 @@ def on_clouds(
     count, sides = epochs[0].filt.config.scheme.n_points, (_Side(False), _Side(True))
     backs = [side.back(epochs) for side in sides]
     led = (side.smoothed(epochs, start, count, back) for side, back in zip(sides, backs, strict=True))
-    found = _told(led, count)
-    if any(each.error > epoch.filt.density.error for each, epoch in zip(found, epochs, strict=True)):
-        weighted = (side.weighted(epochs, back) for side, back in zip(sides, backs, strict=True))
-        pairs = zip(found, _told(weighted, count), strict=True)
+    try:
+        found = _told(led, count)
+    except PropagationError:  # no point that is led sees what is to come
+        found = []
+    known = [epoch.filt.density.error for epoch in epochs[1:]]  # by the filter: its start is exact
+    if not found or any(each.error > error for each, error in zip(found[1:], known, strict=True)):
+        both = (side.weighted(epochs, back) for side, back in zip(sides, backs, strict=True))
+        weighted = _told(both, count)
+        pairs = zip(found or weighted, weighted, strict=True)
         found = [min(pair, key=lambda each: each.error) for pair in pairs]
     out = []
     for epoch, each in zip(epochs, found, strict=True):

@@ -16,6 +16,7 @@ from ..core.limits import FAR
 from ..density.moments import columns
 from ..density.passage import Transitions, along, stored_key
 from ..density.quasi_random import even, systematic
+from ..errors import PropagationError
 from ..model.dynamics import Dynamics
 
 #: What linearisation leaves on average over blocks, in standard deviations of the noise, up to which an
@@ -167,6 +168,8 @@ def _shifted(centre: Floats, cov: Floats, own: Floats, fits: Floats) -> tuple[Fl
 def _bounded(own: Floats, fits: Floats) -> tuple[Floats, Floats]:
     """Gradients (blocks, n) and second derivatives of fits for which exp λ has a mean over noise."""
     n = own.shape[1]
+    if not np.isfinite(fits).all():
+        raise PropagationError("what later measurements say is not known where points come; take more")
     g, H = fits[:, 1 : 1 + n], fits[:, 1 + n :].reshape(-1, n, n)
     h, V = np.linalg.eigh(np.swapaxes(own, 1, 2) @ H @ own)
     back = np.linalg.solve(np.swapaxes(own, 1, 2), V)
