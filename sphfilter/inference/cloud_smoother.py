@@ -27,6 +27,7 @@ from ..density.points import Points, Told
 from ..density.quasi_random import systematic
 from ..errors import PropagationError
 from ..filter.sph_filter import SPHFilter
+from ..info import WITHIN
 from ..prediction.backward_points import Ahead, Leg, Said, parts_of, rooted, start_led, steps_of
 from ..prediction.cloud import as_points, squared_differences
 
@@ -58,12 +59,12 @@ def on_clouds(
         found = _told(led, count)
     except PropagationError:  # no point that is led sees what is to come
         found = []
-    known = [epoch.filt.density.error for epoch in epochs[1:]]  # by the filter: its start is exact
-    if not found or any(each.error > error for each, error in zip(found[1:], known, strict=True)):
+    known = max(epoch.filt.density.error for epoch in epochs)  # by the filter
+    if not found or max(each.error for each in found) > WITHIN * known:
         both = (side.weighted(epochs, back) for side, back in zip(sides, backs, strict=True))
         weighted = _told(both, count)
         pairs = zip(found or weighted, weighted, strict=True)
-        found = [min(pair, key=lambda each: each.error) for pair in pairs]
+        found = [other if WITHIN * other.error < one.error else one for one, other in pairs]  # surely better
     out = []
     for epoch, each in zip(epochs, found, strict=True):
         own: Any = {"error": each.error, "cloud": None}

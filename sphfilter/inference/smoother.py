@@ -69,8 +69,8 @@ class SmoothedResult:
         smoothed density rests on a guess. NaN on clouds, which have no particles of the filter's in them.
     error : ndarray, shape (T,)
         Estimated error of each smoothed mean, in smoothed standard deviations: rms over the states. Told over
-        made was measured to be 1.8 to 3 on clouds (linear models, Van der Pol, a cart), 10 to 18 for two
-        wells; where a gap leads from well to well λ fails: 1.5 off, told 1. On lattices it was 2 to 8, where
+        made was measured to be 1.8 to 3 on clouds (linear models, Van der Pol, a cart), .6 to 10 for two
+        wells. On lattices it was 2 to 8, where
         more than 1e-4 is made (two wells, Duffing, Van der Pol).
 
     Examples
@@ -142,10 +142,10 @@ def smooth(
     lattices. In three and more, and where the filter's scheme is the cloud, it goes back over the filter's
     clouds, from points each of whose transitions is linearised; then points led by it go forward once more.
     Their weights are exact but for β itself; intervals of strongly nonlinear models go in parts. No noise is
-    too small, and none has to be on every state. Where these are told to be worse than the filter, as where β
-    has several peaks, the filter's own points are weighted by how likely later ones come from them (Doucet,
-    Godsill, Andrieu 2000), and each epoch has what tells less. `SmoothedResult.error` tells what is left, by
-    a cloud of an eighth of the points in longer parts; if it is too much, take more:
+    too small, and none has to be on every state. Where these are told to be far worse than the filter, as
+    where β has several peaks, the filter's points are weighted by how likely later ones come from them
+    (Doucet, Godsill, Andrieu 2000), and an epoch has these where they tell a third. `SmoothedResult.error`
+    tells what is left, by a cloud of an eighth of the points in longer parts; if it is too much, take more:
     ``scheme=CloudScheme(n_points=...)``.
     The start is taken as its pdf says: of a filter that carries a cloud already, one of kernels.
 
