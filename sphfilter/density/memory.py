@@ -1,11 +1,11 @@
 """The memory of the ladder: representations and sizes that a density has needed so far."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ..config import AnyConfig, FilterConfig, LogDensityScheme
 from ..core.cloud.control import next_points, points_for, power_of_two
-from ..info import DOUBTFUL
+from ..info import DOUBTFUL, Code, target_missed
 
 #: Error of a cloud after a typical reading, over N^-1/2, as long as nothing tells it: what the first readings
 #: leave is forgotten slowly. With half of it thirteen scenes took 1.5 times the time for the same error.
@@ -90,6 +90,18 @@ def flagged_from(target: float) -> float:
     Less where a target is loose, and an error of so many targets would be wrong whatever was asked.
     """
     return min(_FLAGGED * target, max(DOUBTFUL, MISSED * target))
+
+
+def flagged_if_missed(code: Code, error: float, target: float) -> dict[str, Any]:
+    """Status and code by the error of a step, without the news that a target asked for more nodes or points.
+
+    Nothing where its code has other news.
+    """
+    if code & ~(Code.CLOUD | Code.FINER):
+        return {}
+    if error <= flagged_from(target):
+        return {"status": "ok", "code": Code.OK}
+    return {"status": target_missed(error, target), "code": Code.COARSE}
 
 
 def tolerated_excess(dim: int) -> float:

@@ -11,11 +11,11 @@ from ..core.cloud.inherited import ROUGH
 from ..core.kalman import conditioned
 from ..core.step_control import TRIES
 from ..density.as_family import as_polynomials, may_miss, pieces_density
-from ..density.memory import Memory, error_budget, flagged_from, tolerated_excess
+from ..density.memory import Memory, error_budget, flagged_if_missed, tolerated_excess
 from ..density.particle_density import ParticleDensity
 from ..density.pieces import OF_CHANGE, Pieces, merged
 from ..density.resample import on_lattice
-from ..info import DOUBTFUL, Code, may_be_off, target_missed
+from ..info import DOUBTFUL, Code, may_be_off
 from ..lattice.level_set import min_nodes, root_of
 from ..lattice.resolved import MOST
 from ..model.measurements import block, is_gaussian
@@ -166,9 +166,4 @@ def _with_inherited(new: ParticleDensity, said: dict[str, Any], left: float, of_
 
 def _flagged_if_missed(said: dict[str, Any], target: float) -> dict[str, Any]:
     """Fields of a rung's info, without the news that the target asked for more nodes or points."""
-    usual = Code.CLOUD | Code.FINER
-    if said["code"] & ~usual:
-        return said
-    if said["error"] <= flagged_from(target):
-        return said | {"status": "ok", "code": Code.OK}
-    return said | {"status": target_missed(said["error"], target), "code": Code.COARSE}
+    return said | flagged_if_missed(said["code"], said["error"], target)

@@ -113,8 +113,8 @@ class _Back(NamedTuple):
     """A way back over the filter's points."""
 
     said: Said  # of the first epoch's states
-    legs: list[list[Leg]]  # of every interval
-    parts: list[list[tuple[Points, Ahead]]]  # of every interval: points where it begins, and where they come
+    last: Points  # of the last epoch
+    parts: list[list[tuple[Leg, Points, Ahead]]]  # of every interval: points where they begin, and come to
 
 
 class _Side(NamedTuple):
@@ -126,13 +126,12 @@ class _Side(NamedTuple):
         self, epochs: Sequence[Any], start: ParticleDensity, count: int, back: _Back
     ) -> list[_Smoothed]:
         """Points of every epoch, given all measurements: led by what is said of them."""
-        said, legs, _ = back
         count = max(count // SHADOW, 256) if self.shadow else count
-        x, log_w = _started(start, said, count, stored_key(0, self.shadow))
+        x, log_w = _started(start, back.said, count, stored_key(0, self.shadow))
         log_w += epochs[0].log_likelihood(x)
         out: list[_Smoothed] = []
-        for epoch, way in zip(epochs[1:], legs, strict=True):
-            for k, leg in enumerate(way):
+        for epoch, parts in zip(epochs[1:], back.parts, strict=True):
+            for k, (leg, *_) in enumerate(parts):
                 key = stored_key(stored_key(len(out), k), 2 + self.shadow)
                 ahead = Ahead.of(x, _weights(log_w, leg)[0], leg, key)
                 w, log_evidence = _weights(log_w + ahead.said, leg)
@@ -146,14 +145,13 @@ class _Side(NamedTuple):
 
     def weighted(self, epochs: Sequence[Any], back: _Back) -> list[_Smoothed]:
         """The filter's points of every epoch, with weights given all measurements."""
-        last, first = epochs[-1].filt, epochs[0].filt
-        points, log_evidence = self._points(last.density, last.config.scheme.n_points), last.log_evidence
+        points, log_evidence = back.last, epochs[-1].filt.log_evidence - epochs[0].filt.log_evidence
         out = [points]
         for parts in back.parts[::-1]:
-            for begin, ahead in parts[::-1]:
+            for _, begin, ahead in parts[::-1]:
                 points = Points(begin.x, ahead.weights(begin.w, points.x, points.w))
             out.append(points)
-        return [_Smoothed(each, log_evidence - first.log_evidence) for each in out[::-1]]
+        return [_Smoothed(each, log_evidence) for each in out[::-1]]
 
     def _points(self, density: ParticleDensity, count: int) -> Points:
         """Points of a density, a few thousand of them, evenly along the curve."""
@@ -167,20 +165,19 @@ class _Side(NamedTuple):
     def back(self, epochs: Sequence[Any]) -> _Back:
         """The way back over the filter's points."""
         last: Any = epochs[-1]
-        legs, parts = list[list[Leg]](), list[list[tuple[Points, Ahead]]]()
-        x, w = self._points(last.filt.density, last.filt.config.scheme.n_points)[:2]
-        said = Said(x, w, last.log_likelihood(x))
+        every: list[list[tuple[Leg, Points, Ahead]]] = []
+        end = self._points(last.filt.density, last.filt.config.scheme.n_points)
+        said = Said(*end[:2], last.log_likelihood(end.x))
         for before, after in zip(epochs[-2::-1], epochs[:0:-1], strict=True):
-            way, passed = list[Leg](), list[tuple[Points, Ahead]]()
-            for leg, points in self._over(before.filt, after):
-                way.insert(0, leg(said))
-                ahead = Ahead.of(*points[:2], way[0], stored_key(len(legs), 4 + self.shadow))
+            parts: list[tuple[Leg, Points, Ahead]] = []
+            for over, points in self._over(before.filt, after):
+                leg = over(said)
+                ahead = Ahead.of(*points[:2], leg, stored_key(len(every), 4 + self.shadow))
                 said = Said(*points[:2], ahead.said)
-                passed.insert(0, (points, ahead))
+                parts.insert(0, (leg, points, ahead))
             said = said._replace(values=said.values + before.log_likelihood(said.x))
-            legs.insert(0, way)
-            parts.insert(0, passed)
-        return _Back(said, legs, parts)
+            every.insert(0, parts)
+        return _Back(said, end, every)
 
     def _over(self, filt: SPHFilter, after: Any) -> list[tuple[Any, Points]]:
         """Parts of an interval from the last one back: legs of what is said at their ends; and points."""

@@ -70,8 +70,7 @@ class SmoothedResult:
     error : ndarray, shape (T,)
         Estimated error of each smoothed mean, in smoothed standard deviations: rms over the states. Told over
         made was measured to be 1.8 to 3 on clouds (linear models, Van der Pol, a cart), .6 to 10 for two
-        wells. On lattices it was 2 to 8, where
-        more than 1e-4 is made (two wells, Duffing, Van der Pol).
+        wells. On lattices it was 2 to 8, where more than 1e-4 is made (two wells, Duffing, Van der Pol).
 
     Examples
     --------

@@ -16,11 +16,11 @@ from ..core.family.rules import degrees
 from ..core.limits import HIGHEST, LITTLE
 from ..density.as_family import as_polynomials, family_density, moments_on_line
 from ..density.family import ON_LATTICE, gaussian_family
-from ..density.memory import Memory, error_budget, flagged_from, tolerated_excess, usual_points
+from ..density.memory import Memory, error_budget, flagged_if_missed, tolerated_excess, usual_points
 from ..density.particle_density import ParticleDensity
 from ..density.resample import on_lattice
 from ..errors import PropagationError, UnresolvedError
-from ..info import Code, PredictInfo, target_missed
+from ..info import PredictInfo
 from ..lattice.level_set import min_nodes
 from ..lattice.resolved import TIMES
 from ..model.discrete import DiscreteModel
@@ -219,9 +219,4 @@ def _by_lattice(
 
 def as_asked(info: PredictInfo, target: float) -> PredictInfo:
     """The info of a rung that the target asked for, and not of one that took another's place."""
-    usual = Code.CLOUD | Code.FINER
-    if info.code & ~usual:
-        return info
-    if info.error <= flagged_from(target):
-        return info.noted(status="ok", code=Code.OK)
-    return info.noted(status=target_missed(info.error, target), code=Code.COARSE)
+    return info.noted(**flagged_if_missed(info.code, info.error, target))
