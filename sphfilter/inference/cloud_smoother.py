@@ -36,6 +36,16 @@ from ..prediction.cloud import as_points, squared_differences
 POINTS = 2048
 
 
+class SmoothedEpoch(NamedTuple):
+    """What is known of one epoch, given all measurements."""
+
+    density: ParticleDensity
+    log_evidence: float  # of all measurements, nats
+    extrapolated: float  # probability; NaN where nothing tells
+    error: float  # of the mean, in standard deviations
+    variance_error: float  # as a part of the variance, where it is most
+
+
 class _Smoothed(NamedTuple):
     """Points and weights given all measurements, and the log-evidence of these."""
 
@@ -43,14 +53,10 @@ class _Smoothed(NamedTuple):
     log_evidence: float
 
 
-def on_clouds(
-    epochs: Sequence[Any], start: ParticleDensity
-) -> list[tuple[ParticleDensity, float, float, float]]:
+def on_clouds(epochs: Sequence[Any], start: ParticleDensity) -> list[SmoothedEpoch]:
     """Smooth the epochs of a filter that carries clouds, from a start at the time of the first.
 
-    Returns the density, of as many points as the filter's scheme has or, of the last epoch, the filter's, the
-    log-evidence of all measurements, nats, NaN for an extrapolated probability, and the error of the mean, in
-    standard deviations, by epochs.
+    Densities have as many points as the filter's scheme; that of the last epoch may be the filter's.
     """
     count, sides = epochs[0].filt.config.scheme.n_points, (_Side(False), _Side(True))
     backs = [side.back(epochs) for side in sides]
@@ -69,20 +75,21 @@ def on_clouds(
     for epoch, each in zip(epochs, found, strict=True):
         own: Any = {"error": each.error, "cloud": None}
         density = cloud_density(epoch.filt.density, *each.points[:2], each.moments, **own)
-        out.append((density, each.log_evidence, math.nan, each.error))
+        out.append(SmoothedEpoch(density, each.log_evidence, math.nan, each.error, each.variance_error))
     last = epochs[-1].filt.density  # nothing comes after it: that is the filter's, too
     if last.error < found[-1].error:
-        out[-1] = last, found[-1].log_evidence, math.nan, last.error
+        out[-1] = out[-1]._replace(density=last, error=last.error, variance_error=epochs[-1].variance_error)
     return out
 
 
 class _Told(NamedTuple):
-    """Points given all measurements, their mean and covariance, the log-evidence, the error of the mean."""
+    """Points given all measurements, their moments, the log-evidence, errors of mean and variance."""
 
     points: Points
     moments: tuple[Floats, Floats]
     log_evidence: float
     error: float
+    variance_error: float
 
 
 def _told(clouds: Iterable[list[_Smoothed]], count: int) -> list[_Told]:
@@ -95,7 +102,7 @@ def _told(clouds: Iterable[list[_Smoothed]], count: int) -> list[_Told]:
         error = max(error_by(told.mean), least_error(effective(one.points.w), count))
         # the evidence with λ in it, beside that without: so many nats are about as many standard deviations
         error = math.hypot(error, one.log_evidence - many[-1].log_evidence)
-        out.append(_Told(one.points, sums[0], one.log_evidence, error))
+        out.append(_Told(one.points, sums[0], one.log_evidence, error, told.errors.variance))
     return out
 
 

@@ -14,10 +14,12 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._types import Floats, Readings
+from .._types import Bools, Floats, Readings
 from ..config import CloudScheme, LogDensityScheme
+from ..core.cloud.control import may_be_wrong
 from ..core.field.field import Field
 from ..density.family import ON_LATTICE
+from ..density.memory import flagged_from
 from ..density.particle_density import ParticleDensity
 from ..density.resample import no_weight, on_lattice, times_likelihood
 from ..errors import ModelError, PropagationError
@@ -37,7 +39,7 @@ from ..prediction.backward import carried_back, likelihood_field
 from ..prediction.log_density import why_not
 from ..validate import short
 from ..validate import times as checked_times
-from .cloud_smoother import POINTS, between, on_clouds
+from .cloud_smoother import POINTS, SmoothedEpoch, between, on_clouds
 
 #: Standard deviations that lattices of the smoother reach further than those of the filter: what β is beyond
 #: their edge is a guess, and stays one. Measured: half and twice move means of three records by .002 at most.
@@ -71,6 +73,10 @@ class SmoothedResult:
         Estimated error of each smoothed mean, in smoothed standard deviations: rms over the states. Told over
         made was measured to be 1.8 to 3 on clouds (linear models, Van der Pol, a cart), .6 to 10 for two
         wells. On lattices it was 2 to 8, where more than 1e-4 is made (two wells, Duffing, Van der Pol).
+    variance_error : ndarray, shape (T,)
+        Estimated error of the smoothed variances, as a part of each, where it is most.
+    flagged : ndarray of bool, shape (T,)
+        Whether a mean or a variance may well be off by more than three of the filter's target errors.
 
     Examples
     --------
@@ -92,6 +98,8 @@ class SmoothedResult:
     log_evidence: Floats
     extrapolated: Floats
     error: Floats
+    variance_error: Floats
+    flagged: Bools
 
     def __repr__(self) -> str:
         names = ", ".join(f.name for f in fields(self))
@@ -175,7 +183,9 @@ def smooth(
             raise
         return smooth(_on_clouds(start), times, measurements, sensors=sensors, inputs=inputs)
     of = np.repeat(np.arange(len(epochs)), [epoch.rows for epoch in epochs])
-    densities, total, extrapolated, error = zip(*smoothed, strict=True)
+    densities, total, extrapolated, error, wider = zip(*smoothed, strict=True)
+    most = flagged_from(filt.config.target_error)
+    flagged = [a > most or may_be_wrong(b, most) for a, b in zip(error, wider, strict=True)]
     return SmoothedResult(
         t=times,
         x=np.array([densities[k].mean() for k in of]),
@@ -185,6 +195,8 @@ def smooth(
         log_evidence=np.array(total)[of],
         extrapolated=np.array(extrapolated)[of],
         error=np.array(error)[of],
+        variance_error=np.array(wider)[of],
+        flagged=np.array(flagged)[of],
     )
 
 
@@ -251,6 +263,7 @@ class _Epoch:
     n_steps: int  # of the prediction
     seen: list[tuple[Sensor, ArrayLike | None]]  # (sensor, z) that were used
     rows: int  # measurements at that time, used or not
+    variance_error: float = math.nan  # of the filter's, after the last of them
 
     def log_likelihood(self, X: Floats) -> Floats:
         """Log-likelihood of the measurements used, at states X (N, n)."""
@@ -279,7 +292,7 @@ def _forward(
         epochs[-1].rows += 1
         if info.accepted and sensor.observed(z).any():
             epochs[-1].seen.append((driven(sensor, filt.inputs), z))
-        epochs[-1].filt = copy.copy(filt)
+        epochs[-1].filt, epochs[-1].variance_error = copy.copy(filt), info.variance_error
         rows.append((filt.x_prior, filt.P_prior, filt.x, filt.P))
         told.append([getattr(info, name) for name in _TOLD])
     x_prior, P_prior, x, P = (np.array(column) for column in zip(*rows, strict=True))
@@ -299,13 +312,14 @@ def _predicted(filt: SPHFilter, t: float, u: Mapping[str, float] | None) -> int:
     return predicted.n_steps
 
 
-def _backward(epochs: list[_Epoch]) -> list[tuple[ParticleDensity, float, float, float]]:
-    """Density, log-evidence of all measurements, extrapolated probability and error at every epoch."""
+def _backward(epochs: list[_Epoch]) -> list[SmoothedEpoch]:
+    """Smooth the epochs of a filter that carries lattices."""
     last = epochs[-1].filt
     scheme = LogDensityScheme(reach=lattice_reach(last.config.scheme, last.model.dim) + _FURTHER)
     laid: Any = times_likelihood(last.density, no_weight, last.n_particles, scheme)[0]
     found = likelihood_field(laid.field, epochs[-1].log_likelihood(nodes(laid.field)))
-    out = [(last.density, last.log_evidence, 0.0, last.density.error)]
+    error = last.density.error
+    out = [SmoothedEpoch(last.density, last.log_evidence, 0.0, error, epochs[-1].variance_error)]
     for before, after in zip(epochs[-2::-1], epochs[:0:-1], strict=True):
         try:
             smoothed, found, future = _one_back(before, after, found, scheme)
@@ -318,7 +332,8 @@ def _backward(epochs: list[_Epoch]) -> list[tuple[ParticleDensity, float, float,
         left = shift_left_by_update(past.P, smoothed.cov()) * past.density.error
         total = past.log_evidence + future  # beside the filter's: so many nats are about as many deviations
         error = math.hypot(smoothed.error, left, total - last.log_evidence)
-        out.append((smoothed.noted(error=error), total, guessed, error))
+        smoothed = smoothed.noted(error=error)
+        out.append(SmoothedEpoch(smoothed, total, guessed, error, math.sqrt(2.0) * error))
     return out[::-1]
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..config import CloudScheme, FamilyScheme
 from ..core.cloud.control import MOST_POINTS
+from ..core.family.march import MISSED
 from ..core.family.rules import degrees
 from ..core.limits import HIGHEST, LITTLE
 from ..density.as_family import as_polynomials, family_density, moments_on_line
@@ -138,7 +139,8 @@ def _by_family(
     def carried(degree: int, most: float) -> tuple[Predicted, float]:
         scheme = FamilyScheme(degree=degree, tolerance=LITTLE * target)
         moved, info = family.carried_family(density, model, t1, scheme, density.capacity or 0, most)
-        return (moved, info), math.sqrt(max(info.error**2 - density.error**2, 0.0))
+        added = math.sqrt(max(info.error**2 - density.error**2, 0.0))
+        return (moved, info), math.inf if moved.defect and moved.defect.rest > MISSED else added
 
     allowed = error_budget(density.error, target) * needs.shared
     if family.escaped(density, model, t1) > math.sqrt(2.0) * allowed:

@@ -51,8 +51,11 @@ def errors(found, x, P):
 def assert_close(found, exact, mean, cov, told=3.0):
     off_mean, off_cov = errors(found, *exact)
     assert off_mean.max() < mean and np.sqrt(np.mean(off_cov**2)) < cov
-    made, said = (np.sqrt(np.mean(each**2)) for each in (off_mean, found.error))
-    assert said / 6.0 < made < told * said
+    variances, right = (np.diagonal(P, axis1=1, axis2=2) for P in (found.P, exact[1]))
+    off_variance = np.abs(variances / right - 1.0).max(axis=1)
+    for each, error in ((off_mean, found.error), (off_variance, found.variance_error)):
+        made, said = (np.sqrt(np.mean(square)) for square in (each**2, error**2))
+        assert said / 6.0 < made < told * said
 
 
 @pytest.mark.parametrize("n", LINEAR)

@@ -69,5 +69,5 @@ def test_fits_and_smoothed_records_too():
     smoothed = sf.smooth(flt, TIMES, Z[:, :1])
     assert str(smoothed) == (
         "SmoothedResult(12 epochs of 1 states: t, x, P, densities, filtered, log_evidence, extrapolated, "
-        "error)"
+        "error, variance_error, flagged)"
     )

@@ -198,22 +198,43 @@ def shared_out(end, root, w, y, later, out):
     Points come to N(end, L Lᵀ), of ends (N, n) and lower L (N, n, n). Each y shares its weight out among them
     by how likely it is to come from each (Doucet, Godsill, Andrieu 2000).
     """
-    (N, n), M = end.shape, len(y)
-    white, size, some = np.empty((n, n, N)), np.empty(N), np.zeros((-(-M // LANES), N))
+    N, n = end.shape
+    white, size, some = np.empty((n, n, N)), np.empty(N), np.empty((-(-len(y) // LANES), N))
     for i in prange(N):
-        white[:, :, i], size[i] = invert_lower(root[i]), math.log(w[i]) if w[i] > 0.0 else -np.inf
-        for a in range(n):
-            size[i] -= math.log(root[i, a, a])
+        _inverted(root[i], w[i], white[:, :, i], size[i : i + 1])
     ends = end.T.copy()
     for k in prange(len(some)):
-        part, along = np.empty(N), np.empty(N)
-        for j in range(k * LANES, min((k + 1) * LANES, M)):
-            _parts(ends, white, size, y[j], along, part)
-            for i in range(N):
-                some[k, i] += later[j] * part[i]
+        own = slice(k * LANES, (k + 1) * LANES)
+        _share_out(ends, white, size, y[own], later[own], some[k])
+    _summed(some, out)
+
+
+@jit
+def _inverted(root, w, white, size):
+    """L⁻¹ (n, n) of lower L, and the logarithm (1,) of a weight over its determinant."""
+    white[:] = invert_lower(root)
+    size[0] = math.log(w) if w > 0.0 else -np.inf
+    for a in range(len(root)):
+        size[0] -= math.log(root[a, a])
+
+
+@jit
+def _share_out(end, white, size, y, later, out):
+    """Fill `out` (N,) with what points have of some y (M, n)."""
+    part, along = np.empty(size.size), np.empty(size.size)
+    out[:] = 0.0
+    for j in range(len(y)):
+        _parts(end, white, size, y[j], along, part)
+        for i in range(out.size):
+            out[i] += later[j] * part[i]
+
+
+@jit
+def _summed(some, out):
+    """Sum of rows (K, N)."""
     out[:] = 0.0
     for k in range(len(some)):
-        for i in range(N):
+        for i in range(out.size):
             out[i] += some[k, i]
 
 

@@ -20,7 +20,7 @@ STATUS = "ok", "stalled", "too many steps", "not finite", "astray"
 _OFF = 0.15  # of the moments in the frame, from which it follows
 _TRIES = 5  # steps refused one after the other: each a fifth of the last or less, 5^-5 = 3e-4 of the first
 
-_MISSED = 1.0  # of log p, as rms, at which it is given up: more is missed than there is, as exp(1) - 1 > 1
+MISSED = 1.0  # of log p, as rms, at which it is given up: more is missed than there is, as exp(1) - 1 > 1
 _MOST = 0.7  # norm of a defect's polynomial: of exp(.7) - 1 the second order is a quarter
 
 #: Squarings of 1 + x + x²/2 for x over 2^4: exp(1) to 6e-4, stable up to |x| = 32.
@@ -97,6 +97,7 @@ def march(flow, basis, beyond, turned, control, y, defect):
             y[e] = trial[e]
         for e in range(defect.size):
             defect[e] += h * _phi(h * slope[1, e])[0] * slope[0, e]
+        _bounded(defect[: beyond.V.shape[0]])  # its square makes some of the rest, and that is not forgotten
         inverse(y[n : n + n * n].reshape((n, n)), own.inverse)  # as the rates k[6] have left it
         defect_at(flow.defect)(flow, basis, beyond, own, y, k[6], defect, other)
         _shear(h, n, slope[1], other[1], defect)
@@ -106,7 +107,7 @@ def march(flow, basis, beyond, turned, control, y, defect):
         _bounded(defect[: beyond.V.shape[0]])
         h = min(next_step(h, off, 5.0), control.longest)
         followed = _follow(basis, beyond, y, defect, 0.0 if t >= control.t1 else _OFF)
-        if followed < 0 or not residual < _MISSED:
+        if followed < 0 or not residual < MISSED:
             return Report(ASTRAY, t, steps, rejected, asked, residual, stepping)
         if followed > 0:
             before = math.sqrt(rates(flow, basis, own, t, y, k[0]))
