@@ -17,8 +17,8 @@ from ..core.cloud.cycle import put_through as through
 from ..core.cloud.inherited import Inherited
 from ..core.cloud.linearise import LINEARISE, linearised
 from ..core.cloud.maps import LINEARISE_MAP, MAPPED
-from ..core.cloud.move import MOVE, affine, moved_over
-from ..core.cloud.noise import ADDITIVE, NORMAL, OF_STATE, mixed, stored
+from ..core.cloud.move import MOVE, affine, move, moved_over
+from ..core.cloud.noise import ADDITIVE, LANES, NORMAL, OF_STATE, mixed, stored
 from ..core.cloud.pace import Bias, Steps, chosen
 from ..core.cloud.reader import Reader
 from ..core.cloud.steps import BESIDE, BETWEEN, FLOW, NO_LEG, STIFF_FLOW, Leg
@@ -93,6 +93,20 @@ def moved_points(
             x, u, *linear = carry(leg, *about)
     passage = Passage(leg, key, *linear)._replace(model=model, span=(t0, t1), steps=steps)
     return Points(x.T, points.w, Path(start, block, (*passages, passage), (*U, u.T), path.older))
+
+
+def moved_freely(x: Floats, model: Dynamics, span: tuple[float, float], steps: Steps, key: int) -> Floats:
+    """States (N, n) moved over an interval in steps, each along noise of its own."""
+    (N, n), block = x.shape, np.zeros(len(x), np.int64)
+    if model.linear:
+        flow, offset, lower = (part[None] for part in change_of(model, span[1] - span[0]))
+        u = np.random.Generator(np.random.Philox(key)).standard_normal((N, n))
+        return affine(columns(x), columns(u), block, np.zeros((1, n)), offset, flow, lower).T
+    leg, moving = leg_of(model, *span, *steps), columns(x).copy()
+    ends = np.zeros((n, N)), np.zeros((1, n, steps.number * model.n_noise))  # are as their noise moves them
+    with surfacing():
+        move(leg, moving, *ends, block, np.uint64(key), 0, -(-N // LANES))
+    return moving.T
 
 
 class Use(IntEnum):

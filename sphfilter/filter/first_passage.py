@@ -18,7 +18,15 @@ from ..core.cloud.control import SHADOW
 from ..core.cloud.pace import FIRST_TRIED, Steps
 from ..core.limits import LITTLE, TINY
 from ..density.particle_density import ParticleDensity
-from ..density.passage import MOST, age_of, chosen_steps, moved_points, points_of_sample, stored_key
+from ..density.passage import (
+    MOST,
+    age_of,
+    chosen_steps,
+    moved_freely,
+    moved_points,
+    points_of_sample,
+    stored_key,
+)
 from ..density.points import Points
 from ..density.quasi_random import STATES
 from ..model.discrete import DiscreteModel
@@ -31,6 +39,7 @@ from ..prediction.cloud import least_steps, without_runaways
 #: A region of states X (M, n): booleans (M,), or numbers that are positive inside.
 Event: TypeAlias = Callable[[Floats], ArrayLike]
 
+_FALL = math.sqrt(2.0)  # of what looks miss, which goes as the root of the time between them, or faster
 _MOST_LOOKS = 2**11  # measured: of Brownian motion and booleans .55 is then .005 off, in two seconds
 
 
@@ -50,19 +59,23 @@ def passed(
     keys = [(count, stored_key(age_of(density), count)) for count in (STATES // SHADOW, STATES)]
     clouds = [points_of_sample(Points(*density.form.drawn(n, key)), n, key) for n, key in keys]
     found: list[Floats] = []
-    apart, before, looks = [], np.full(len(times), np.nan), 1
+    apart, looks = [], 1
+    before = of_looks = np.full(len(times), np.nan)
     while True:
         few, many = (_absorbed(density, points, models, times, event, looks) for points in clouds)
         found.append(many)
         apart.append((many - few) / SHADOW**0.6)
         best = np.mean(found[-2:], axis=0) if bridged else _limit(found)
+        # what is told whatever the looks: of so few points, and of the density
+        known = np.sqrt(np.mean(np.square(apart), axis=0) + density.error**2 / (2.0 * math.pi))
+        changed, of_looks = of_looks, np.abs(best - before)
+        # where changes do not fall yet by as much as they will at least, they do not tell what is left
+        settled = (of_looks < np.fmax(np.minimum(known, changed / _FALL), STATES**-0.6)).all()
         much = len(found) > 1 and 2 * looks * len(times) > _MOST_LOOKS
-        if much or np.abs(best - before).max() < STATES**-0.6 or isinstance(models[0], DiscreteModel):
+        if much or settled or isinstance(models[0], DiscreteModel):
             break
         before, looks = best, 2 * looks
-    of_looks = 0.0 if len(found) == 1 else 0.5 * (best - before)
-    of_points = np.sqrt(np.mean(np.square(apart), axis=0))
-    error = np.sqrt(of_points**2 + of_looks**2 + density.error**2 / (2.0 * math.pi))
+    error = np.hypot(known, 0.0 if len(found) == 1 else of_looks)
     return np.clip(np.maximum.accumulate(best), 0.0, 1.0), error
 
 
@@ -74,7 +87,7 @@ def _limit(found: Sequence[Floats]) -> Floats:
     if len(found) < 3:
         return found[-1]
     before, after = found[-2] - found[-3], found[-1] - found[-2]
-    rate = np.clip(np.sum(before * after) / max(np.sum(after * after), TINY), math.sqrt(2.0), 4.0)
+    rate = np.clip(np.sum(before * after) / max(np.sum(after * after), TINY), _FALL, 4.0)
     return np.asarray(found[-1] + after / (rate - 1.0))
 
 
@@ -95,9 +108,11 @@ def _absorbed(
             age += 1
             key = stored_key(age, count)
             steps = steps or _steps(points, model, (begin, stop), key)
-            if points.path is None or len(points.path.passages) >= MOST // 2:
-                points = points_of_sample(points._replace(path=None), count, key)
-            new = moved_points(points, model, begin, stop, steps, count, stored_key(key, 1))
+            path, key = points.path, stored_key(key, 1)
+            if path is not None and len(path.passages) < MOST // 2:
+                new = moved_points(points, model, begin, stop, steps, count, key)
+            else:  # points of a new path, each as wide as their distance, would go in and out by that
+                new = points._replace(x=moved_freely(points.x, model, (begin, stop), steps, key))
             new, _ = without_runaways(new, domain)
             part = _missed(points.x, new.x, model, (begin, stop), event, domain)
             new, kept = _taken_out(new, inside(event), domain, part)

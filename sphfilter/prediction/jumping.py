@@ -19,19 +19,16 @@ from .._types import Floats, Ints
 from ..config import CloudScheme
 from ..core.cloud.control import SHADOW
 from ..core.cloud.lineages import LINES
-from ..core.cloud.move import affine, move
-from ..core.cloud.noise import LANES
+from ..core.cloud.pace import Steps
 from ..core.limits import GOLDEN, TINY
 from ..density.as_cloud import cloud_of
 from ..density.modes import ModeDensities
-from ..density.moments import columns, moments
-from ..density.passage import Use, along, leg_of, stored_key
+from ..density.moments import moments
+from ..density.passage import Use, along, moved_freely, stored_key
 from ..density.points import FRESH, CloudState, Points
 from ..errors import PropagationError
 from ..info import PredictInfo
-from ..model.compile import surfacing
 from ..model.jump_markov import JumpMarkovModel
-from ..model.paths import change_of
 from .cloud import (
     Carried,
     as_points,
@@ -236,21 +233,11 @@ class _Sources:
 
     def _moved(self, i: int, x: Floats, span: tuple[float, float], key: int) -> Floats:
         """Points (K, n) moved by the model of mode i, each along noise of its own."""
-        model, (N, n), block = self._models[i], x.shape, np.zeros(len(x), np.int64)
-        if model.linear:
-            flow, offset, lower = (part[None] for part in change_of(model, span[1] - span[0]))
-            u = np.random.Generator(np.random.Philox(key)).standard_normal((N, n))
-            return affine(columns(x), columns(u), block, np.zeros((1, n)), offset, flow, lower).T
-        whole, stayed = self._way.span[1] - self._way.span[0], self.carried(i)
+        model, whole, stayed = self._models[i], self._way.span[1] - self._way.span[0], self.carried(i)
         assert stayed is not None
         part = math.ceil(stayed.steps * (span[1] - span[0]) / whole - 1e-9)
-        steps = model.own_steps(*span) or part
-        leg, none = leg_of(model, *span, steps, stayed.state.pace.stiff), np.zeros((n, N))
-        given = none, np.zeros((1, n, steps * model.n_noise)), block  # ends are as their noise moves them
-        moving = columns(x).copy()
-        with surfacing():
-            move(leg, moving, *given, np.uint64(key), 0, -(-N // LANES))
-        return moving.T
+        steps = Steps(model.own_steps(*span) or part, stayed.state.pace.stiff)
+        return moved_freely(x, model, span, steps, key)
 
 
 def _evenly(points: Points, count: int, key: int) -> Ints:
