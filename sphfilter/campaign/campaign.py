@@ -200,7 +200,7 @@ def run_campaign(
         store.claim(folder, store.manifest(scenario, filters, int(seed), first))
         finished = store.finished(folder, n_runs)
     todo = [(r, scenario, filters, seeds[r], ranks) for r in range(n_runs) if r not in finished]
-    coming = _in_parallel(one_run.run, todo, n_jobs, progress, n_runs)
+    coming = _in_parallel(todo, n_jobs, progress, n_runs)
     # at once, whatever is raised here: workers must not wait for a reader
     with _interrupts() as interrupted, closing(coming):
         for done, (r, record) in enumerate(coming, len(finished) + 1):
@@ -218,20 +218,19 @@ def run_campaign(
 
 
 def _in_parallel(
-    task: Callable[..., Any],
     todo: Sequence[tuple[Any, ...]],
     n_jobs: int | None,
     progress: Callable[[int, int], object] | None,
     n_runs: int,
 ) -> Generator[Any, None, None]:
-    """Yield the results of `task` over the rows of `todo` as they come."""
+    """Yield the runs of `todo`, whose rows are what `one_run.run` takes, as they come."""
     from joblib import Parallel, delayed  # on use: import time
 
     if progress is not None:
         progress(n_runs - len(todo), n_runs)
     workers = Parallel(n_jobs=n_jobs, return_as="generator_unordered", batch_size=1)
     try:
-        yield from workers(delayed(task)(*row) for row in todo)
+        yield from workers(delayed(one_run.run)(*row) for row in todo)
     except (KeyboardInterrupt, GeneratorExit):  # here, or where the results go
         _end_workers(n_jobs)
         raise

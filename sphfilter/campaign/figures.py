@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import consistency
-from .._types import Bools, Floats, Ints, in_a_line
+from .._types import Bools, Floats, in_a_line
 from ..consistency import p_values
 from ..filter.results import FilterResult
 
@@ -156,6 +156,7 @@ def filter_report(
     accepted = np.asarray(result.accepted)
     done = np.isfinite(x).all(axis=(1, 2)) & np.isfinite(P).all(axis=(1, 2, 3))
     run_evidence = log_evidence[done].sum(axis=1)
+    read = result.innovation[done], result.innovation_cov[done], accepted[done]
     return FilterReport(
         n_runs=len(x),
         n_failed=int(np.sum(~done)),
@@ -165,12 +166,7 @@ def filter_report(
         run_time=_over_runs(np.median, run_time[done]),
         log_evidence=_over_runs(np.mean, run_evidence),
         log_evidence_std=_standard_error(run_evidence),
-        innovations=_innovations_of(
-            result.innovation[done],
-            result.innovation_cov[done],
-            accepted[done],
-            None if came is None else came[done],
-        ),
+        innovations=_innovations_of(*read, None if came is None else came[done]),
         ranks=_ranks_of(result.pit[done], result.state_pit[done], result.hpd_rank[done]),
     )
 
@@ -178,9 +174,7 @@ def filter_report(
 def _errors(error: Floats) -> dict[str, Any]:
     """Return peaks and root mean squares of errors (R, T, n)."""
     if error.size == 0:
-        nothing = np.full(error.shape[2], np.nan)
-        names = ("max_peak_error", "mean_peak_error", "rms_error", "rms_error_std")
-        return dict.fromkeys(names, nothing)
+        error = np.full((1, 1, error.shape[2]), np.nan)
     peak = np.abs(error).max(axis=1)
     run_square = np.mean(error**2, axis=1)
     rms = np.sqrt(run_square.mean(axis=0))
@@ -229,9 +223,7 @@ def _standard_error(values: Floats) -> Any:
     return np.std(values, axis=0, ddof=1) / np.sqrt(len(values))
 
 
-def _innovations_of(
-    innovation: Floats, cov: Floats, accepted: Bools, came: Bools | None = None
-) -> Innovations:
+def _innovations_of(innovation: Floats, cov: Floats, accepted: Bools, came: Bools | None) -> Innovations:
     """Reduce innovations (R, T, k), their covariances, what was accepted and what came (R, T)."""
     seen = np.isfinite(innovation)
     told: Bools = np.any(seen, axis=2)
@@ -242,13 +234,14 @@ def _innovations_of(
     square, dof = consistency.nis(y, S), seen.sum(axis=2)
     whole = np.where(np.all(seen, axis=2)[..., None], innovation, np.nan)
     white, products = consistency.whiteness(whole, S), consistency.lagged_products(whole, S)
-    bounds = consistency.nees_bounds(1, np.maximum(dof.sum(axis=0), 1))
+    epoch, some = dof.sum(axis=0), np.maximum(dof.sum(axis=0), 1)
+    each = np.where(epoch > 0, np.sum(square * told, axis=0) / some, np.nan)  # NaN where nothing came
     return Innovations(
         n_measurements=int(came.sum()),
         acceptance=_ratio(np.sum(came & accepted), came.sum()),
         nis=_ratio(square[told].sum(), dof[told].sum()),
         nis_accepted=_ratio(square[used].sum(), dof[used].sum()),
-        nis_inside=float(consistency.fraction_inside(_ratios(square * told, dof), bounds)),
+        nis_inside=float(consistency.fraction_inside(each, consistency.nees_bounds(1, some))),
         whiteness=float(np.nanmean(white)) if np.isfinite(white).any() else np.nan,
         whiteness_p=p_values.same_mean(products[:, None], 0.0),
     )
@@ -271,9 +264,3 @@ def _ranks_of(pit: Floats, state_pit: Floats, hpd_rank: Floats) -> Ranks:
 
 def _ratio(part: Any, whole: Any) -> float:
     return float(part / whole) if whole else np.nan
-
-
-def _ratios(square: Floats, dof: Ints) -> Floats:
-    """Sums over the runs per degree of freedom, shape (T,); NaN where nothing came."""
-    total = dof.sum(axis=0)
-    return np.where(total > 0, square.sum(axis=0) / np.maximum(total, 1), np.nan)

@@ -113,13 +113,8 @@ class _Known:
         else:
             cells = [cell.cell_contents for cell in thing.__closure__ or ()]
             self._each("function", [thing.__code__, thing.__defaults__, thing.__kwdefaults__, cells])
-            self._add(
-                {
-                    name: thing.__globals__[name]
-                    for name in _names(thing.__code__)
-                    if name in thing.__globals__
-                }
-            )
+            known = thing.__globals__
+            self._add({name: known[name] for name in _names(thing.__code__) if name in known})
 
     def _object(self, thing: Any) -> None:
         """An object by its class and what it would be copied from; else by its text."""

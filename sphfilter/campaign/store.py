@@ -70,11 +70,10 @@ def claim(folder: str | PathLike[str], wanted: dict[str, Any]) -> None:
             file.write(json.dumps(wanted, indent=1).encode())
         return
     found = _read(path)
-    entries = {key: _sides(key, found.get(key), wanted[key]) for key in wanted}
-    other = [key for key, (was, now) in entries.items() if was != now]
-    if other:
-        key = other[0]
-        sides = entries[key]
+    for key, value in wanted.items():
+        sides = _sides(key, found.get(key), value)
+        if sides[0] == sides[1]:
+            continue
         names = [list(side) if isinstance(side, dict) else None for side in sides]
         if names[0] != names[1]:
             was, now = (", ".join(side or ["none"]) for side in names)
@@ -111,16 +110,12 @@ def _sides(key: str, was: Any, now: Any) -> tuple[Any, Any]:
     A package that was not there, or is no more, had or has no part in the filters: their texts are the same.
     Which filters a scenario runs by default is no part of it: the manifest names those that were run.
     """
+    if key == "versions" and isinstance(was, dict):
+        both = [name for name in now if name in was]
+        return {name: was[name] for name in both}, {name: now[name] for name in both}
     if key in ("scenario", "filters") and isinstance(was, dict):
-        return _without_defaults(was), _without_defaults(now)
-    if key != "versions" or not isinstance(was, dict):
-        return was, now
-    both = [name for name in now if name in was]
-    return {name: was[name] for name in both}, {name: now[name] for name in both}
-
-
-def _without_defaults(texts: dict[str, str]) -> dict[str, str]:
-    return {name: _BY_DEFAULT.sub("", text) for name, text in texts.items()}
+        was, now = ({name: _BY_DEFAULT.sub("", text) for name, text in side.items()} for side in (was, now))
+    return was, now
 
 
 def _leaves(value: object) -> str:

@@ -52,14 +52,8 @@ def _lost_more(numbers: FilterReport, referee: FilterReport | None) -> bool:
 def _faults(numbers: FilterReport, labels: Sequence[str]) -> list[str]:
     ranks, innovations = numbers.ranks, numbers.innovations
     n, k = len(labels), len(ranks.pit_p)
-    tests = np.concatenate(
-        [
-            ranks.state_pit_p,
-            numbers.nmee_p,
-            ranks.pit_p,
-            [ranks.hpd_p, innovations.whiteness_p, numbers.exits_p],
-        ]
-    )
+    single = ranks.hpd_p, innovations.whiteness_p, numbers.exits_p
+    tests = np.concatenate([ranks.state_pit_p, numbers.nmee_p, ranks.pit_p, single])
     parts = np.split(p_values.holm(tests, _LEVEL), np.cumsum([n, n, k]))
     wrong, biased, predicted, (shape, coloured, outside) = parts
     faults = []

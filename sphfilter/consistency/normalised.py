@@ -46,8 +46,7 @@ def distance(x: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> Floats:
     e, cov = np.subtract(x, mean, dtype=float), np.asarray(cov, dtype=float)
     leading = np.broadcast_shapes(e.shape[:-1], cov.shape[:-2])
     e, cov = np.broadcast_to(e, leading + e.shape[-1:]), np.broadcast_to(cov, leading + cov.shape[-2:])
-    _, e, cov = _checked(np.zeros_like(e), e, cov)
-    return np.sqrt(_normalised_square(e, cov))[()]
+    return np.sqrt(nis(e, cov))[()]
 
 
 def nees(truth: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> Floats:
@@ -94,9 +93,7 @@ def nis(innovation: ArrayLike, S: ArrayLike) -> Floats:
     >>> print(consistency.nis([[2.0], [0.0]], [[[4.0]], [[4.0]]]))
     [1. 0.]
     """
-    innovation = np.asarray(innovation, dtype=float)
-    _, innovation, S = _checked(np.zeros_like(innovation), innovation, S)
-    return _normalised_square(innovation, S)
+    return nees(np.zeros(np.shape(innovation)), innovation, S)
 
 
 def nmee(truth: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> Floats:
@@ -280,10 +277,8 @@ def fraction_inside(values: ArrayLike, bounds: tuple[float | Floats, float | Flo
     0.75
     """
     values = np.asarray(values, dtype=float)
-    known = ~np.isnan(values)
-    inside = known & (values >= bounds[0]) & (values <= bounds[1])
-    n = known.sum(axis=0)
-    return np.where(n > 0, inside.sum(axis=0) / np.maximum(n, 1), np.nan)[()]
+    inside = (values >= bounds[0]) & (values <= bounds[1])
+    return run_average(np.where(np.isnan(values), np.nan, inside))[0][()]
 
 
 def diverged(nees_values: ArrayLike, dim: int, window: int = 5, level: float = 0.9999) -> Bools:

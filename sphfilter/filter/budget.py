@@ -106,11 +106,7 @@ class Budget:
             self._costs[what].append((n_particles, took / n_particles, self.spent <= self.seconds))
         elif what and len(self._costs[what]) > 1:
             self._costs[what].popleft()  # time passes: a busy spell of the machine must not last for ever
-        return self._timed(info)
-
-    def _timed(self, info: Info) -> Info:
-        """The info, which says so if the step has taken too long."""
-        if self.seconds is None or self.spent <= self.seconds:
+        if self.spent <= self.seconds:
             return info
         late = f"time budget exceeded: {1e3 * self.spent:.3g} of {1e3 * self.seconds:.3g} ms"
         return info.also(Code.LATE, late)

@@ -1,7 +1,7 @@
 """Prior times likelihood as one exponential family, in a frame of its own."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,7 +46,7 @@ _WIDER, _WIDER_OF_CUBICS = 1.1, 1.05
 
 def by_family(
     density: ParticleDensity, asked: ReadingAtPrior, degree: int, n_particles: int, most: float = math.inf
-) -> tuple[ParticleDensity, dict[str, Any], float]:
+) -> tuple[Posterior, float]:
     """Posterior and what is said of it, and the error in standard deviations that it adds to the prior's.
 
     Raises `PropagationError` if no family holds it, or the error of that would be above `most`.
@@ -57,7 +57,7 @@ def by_family(
         )
     closed = by_kalman(density, asked, degree, n_particles)
     if closed is not None:
-        return *closed, 0.0
+        return closed, 0.0
     prior, misfit = family_of(density, degree)
     found = family_posterior(prior, asked.weight_on(density.domain), _linearised(density, asked))
     missed, of_evidence = 0.0, found.evidence_apart
@@ -84,7 +84,7 @@ def by_family(
     said = info_fields(asked, "family", found.log_evidence, error, of_evidence)
     defect = left.defect._replace(U=left.defect.U + missed**2 * moments[1][1])
     said |= {"residual": left.rest, "variance_error": of_variance}
-    return new.noted(error=error, defect=defect, rough=defect.rough(found.family)), said, added
+    return (new.noted(error=error, defect=defect, rough=defect.rough(found.family)), said), added
 
 
 def by_kalman(

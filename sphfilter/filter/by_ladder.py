@@ -11,7 +11,7 @@ from ..core.cloud.inherited import ROUGH
 from ..core.kalman import conditioned
 from ..core.step_control import TRIES
 from ..density.as_family import as_polynomials, may_miss, pieces_density
-from ..density.memory import Memory, error_budget, flagged_if_missed, tolerated_excess
+from ..density.memory import Memory, error_budget, tolerated_excess
 from ..density.particle_density import ParticleDensity
 from ..density.pieces import OF_CHANGE, Pieces, merged
 from ..density.resample import on_lattice
@@ -40,7 +40,7 @@ def by_ladder(
     needs = (density.needs or Memory())._replace(legs=0)
     if density.form.closed and asked.linear:
         return _on_pieces(density, asked, target, needs)
-    exact = _in_closed_form(density, asked, target, needs)
+    exact = _in_closed_form(density, asked, needs)
     if exact is not None:
         return exact
     walled = density.walls[0].size > 0
@@ -59,12 +59,10 @@ def by_ladder(
     if needs.waits == 0 and said["accepted"] and not said["code"] & Code.UNRESOLVED:
         one = as_polynomials(new, first_degree(new.dim, needs), error_budget(new.error, target))
         new, needs = (new, needs.refused()) if one is None else (one, needs)
-    return new.noted(needs=needs), _flagged_if_missed(said | {"error": new.error}, target)
+    return new.noted(needs=needs), said | {"error": new.error}
 
 
-def _in_closed_form(
-    density: ParticleDensity, asked: ReadingAtPrior, target: float, needs: Memory
-) -> Posterior | None:
+def _in_closed_form(density: ParticleDensity, asked: ReadingAtPrior, needs: Memory) -> Posterior | None:
     """The posterior by Kalman's rule, of however many states; None where that does not hold."""
     if not density.gaussian or density.form.degree == 0:
         return None
@@ -72,7 +70,7 @@ def _in_closed_form(
     found = by_kalman(density, asked, degree, density.capacity or 0)
     if found is None:
         return None
-    return found[0].noted(needs=needs.followed(degree)), _flagged_if_missed(found[1], target)
+    return found[0].noted(needs=needs.followed(degree)), found[1]
 
 
 def _on_family(
@@ -84,15 +82,14 @@ def _on_family(
         return None
 
     def updated(degree: int, most: float) -> tuple[Posterior, float]:
-        new, said, added = by_family(density, asked, degree, density.capacity or 0, most)
-        return (new, said), added
+        return by_family(density, asked, degree, density.capacity or 0, most)
 
     first = max(first_degree(density.dim, needs), 0 if density.gaussian else own)
     best = best_family(density.dim, error_budget(density.error, target), first, updated)
     if best is None:
         return None
     (new, said), degree, _ = best
-    return new.noted(needs=needs.followed(degree)), _flagged_if_missed(said, target)
+    return new.noted(needs=needs.followed(degree)), said
 
 
 def _on_pieces(density: ParticleDensity, asked: ReadingAtPrior, target: float, needs: Memory) -> Posterior:
@@ -100,7 +97,7 @@ def _on_pieces(density: ParticleDensity, asked: ReadingAtPrior, target: float, n
     new, said = by_pieces(density, asked, target)
     one = as_polynomials(new, first_degree(new.dim, needs), error_budget(new.error, target))
     new = new if one is None or (needs.smooth and not one.gaussian) else one
-    return replace(new, needs=needs), _flagged_if_missed(said | {"error": new.error}, target)
+    return replace(new, needs=needs), said | {"error": new.error}
 
 
 def by_pieces(density: ParticleDensity, asked: ReadingAtPrior, target: float) -> Posterior:
@@ -130,7 +127,7 @@ def _on_cloud(
     new, said = by_cloud(density, asked, 0, config, n_points=needs.cloud(target, density.dim))
     cloud: Any = new.cloud
     needs = needs.told(cloud.told.decisive(target, new.dim), target, cloud.size, new.dim)
-    return new.noted(needs=needs), _flagged_if_missed(said, target)
+    return new.noted(needs=needs), said
 
 
 def _on_lattice(
@@ -162,8 +159,3 @@ def _with_inherited(new: ParticleDensity, said: dict[str, Any], left: float, of_
     if error > DOUBTFUL:
         said |= {"code": said["code"] | Code.UNRESOLVED, "status": may_be_off(error)}
     return new.noted(error=math.hypot(new.error, left)), said
-
-
-def _flagged_if_missed(said: dict[str, Any], target: float) -> dict[str, Any]:
-    """Fields of a rung's info, without the news that the target asked for more nodes or points."""
-    return said | flagged_if_missed(said["code"], said["error"], target)

@@ -101,9 +101,7 @@ def _beyond_lattice(
 
 def _told(found: Resolved, error: float, most_left_out: float, wider: float) -> dict[str, Any]:
     """Code and status of an update whose lattice is finer than usual, or not fine or wide enough."""
-    code, said = Code.OK, []
-    if found.times > 1:
-        code, said = Code.FINER, [f"the posterior is on {found.times} times the particles"]
+    said = []
     wrong = max(found.off.residual, found.off.log_mass)
     if wrong > TOLERATED:
         said.append(f"the lattice does not resolve the posterior: its density is off by {wrong:.2g}")
@@ -113,8 +111,10 @@ def _told(found: Resolved, error: float, most_left_out: float, wider: float) -> 
         said.append(would_widen(wider))
     if error > DOUBTFUL:
         said.append(may_be_off(error))
-    if wrong > TOLERATED or found.left_out > most_left_out or wider > 1.0 - ALIKE or error > DOUBTFUL:
-        code |= Code.UNRESOLVED
+    code = Code.UNRESOLVED if said else Code.OK
+    if found.times > 1:
+        code |= Code.FINER
+        said.insert(0, f"the posterior is on {found.times} times the particles")
     return {"code": code, "status": "; ".join(said) or "ok"}
 
 

@@ -87,11 +87,8 @@ def restored(path: str | PathLike[str], model: Dynamics, measurement: Sensor | N
     }
     about = {"_adapts": bool(arrays["adapts"]), "dt": float(arrays["dt"]) if "dt" in arrays else None}
     origin = _origin(part("origin", arrays), model, measurement)
-    return (
-        options,
-        about,
-        _state_of(arrays) | {"n_particles": n_particles, "inputs": inputs, "origin": origin},
-    )
+    state = _state_of(arrays) | {"n_particles": n_particles, "inputs": inputs, "origin": origin}
+    return options, about, state
 
 
 def _stored_origin(state: FilterState[Any]) -> Arrays:
@@ -153,18 +150,13 @@ def restored_modes(path: str | PathLike[str], model: JumpMarkovModel, _measureme
     if len(mean) != model.dim:
         raise ModelError(f"{path} holds densities of {len(mean)} states, the model has {model.dim}")
     state = _state_of(arrays) | {"density": modes, "x": read_only(mean), "P": read_only(cov)}
-    state |= {"inputs": about["inputs"], "origin": _prediction(part("prediction", arrays), model)}
+    state |= {"inputs": about["inputs"], "origin": None}
+    if last := part("prediction", arrays):
+        how = json.loads(str(last["how"]))
+        driven_by = model.with_inputs(how["inputs"]) if how["inputs"] else model
+        state["origin"] = ModesPrediction(_modes_from(part("before", last)), how["n_substeps"], driven_by)
     made = {"n_particles": about["n_particles"], "config": FilterConfig.from_toml(str(arrays["config"]))}
     return made | {"x0": mean, "P0": cov, "t0": modes.heaviest.t}, {"dt": about["dt"]}, state
-
-
-def _prediction(arrays: Arrays, model: JumpMarkovModel) -> ModesPrediction | None:
-    """The last prediction of a filter of modes; None if there are no arrays of one."""
-    if not arrays:
-        return None
-    how = json.loads(str(arrays["how"]))
-    driven_by = model.with_inputs(how["inputs"]) if how["inputs"] else model
-    return ModesPrediction(_modes_from(part("before", arrays)), how["n_substeps"], driven_by)
 
 
 def _stored_modes(modes: ModeDensities) -> Arrays:

@@ -73,8 +73,12 @@ class Glide:
 
     def _leave(self, run: "_Run", times: Floats, readings: Sequence[Any]) -> None:
         """Leave the filter at what a run has reached; before the last step, if nothing comes after it."""
-        whole, filt = len(run.reached.rows) == len(times), self._filt
-        left = _left(filt, run.before if whole else run.reached, readings)
+        whole, filt, left = len(run.reached.rows) == len(times), self._filt, None
+        reached = run.before if whole else run.reached
+        if reached.rows:
+            log_evidence = sum((row["log_evidence"] for row in reached.rows), start=filt.log_evidence)
+            z = _all_of(filt.measurement, readings[len(reached.rows) - 1])
+            left = _Left(reached._replace(rows=reached.rows[-1:]), z, log_evidence)
         if whole:
             filt._pending = left, float(times[-1]), _all_of(filt.measurement, readings[-1])
         elif left is not None:
@@ -107,15 +111,6 @@ class _Left(NamedTuple):
         said |= {"log_likelihood": row["log_evidence"], "log_evidence": log_evidence}
         said |= {"n_particles": max_particles_of(density, "auto")}
         return filt._now.noted(density=density, **told, x_post=told["x"], P_post=told["P"], **said)
-
-
-def _left(filt: Any, reached: _Reached, readings: Sequence[Any]) -> _Left | None:
-    """Where a filter is left that has put the first readings through, if any."""
-    if not reached.rows:
-        return None
-    log_evidence = sum((row["log_evidence"] for row in reached.rows), start=filt.log_evidence)
-    z = _all_of(filt.measurement, readings[len(reached.rows) - 1])
-    return _Left(reached._replace(rows=reached.rows[-1:]), z, log_evidence)
 
 
 class _Run:
@@ -244,16 +239,13 @@ def _all_of(sensor: GaussianMeasurement, z: Any) -> Floats | None:
 
 def _rows(sensor: Any, Z: Floats, times: Floats, columns: tuple[Floats, ...]) -> list[dict[str, Any]]:
     """Rows of a result for readings (K, k), of columns that compiled code made."""
-    rows = [_row(*parts) for parts in zip(*(column[: len(Z)] for column in columns), strict=True)]
+    rows: list[dict[str, Any]] = []
+    for told in zip(*(column[: len(Z)] for column in columns), strict=True):
+        known = zip(_COLUMNS, told, strict=True)
+        row = {name: float(value) if np.ndim(value) == 0 else value for name, value in known}
+        rows.append(row | {"flagged": bool(row["flagged"]), "accepted": True})
     if sensor.H is not None:  # to the last bit as the sensor itself predicts
         for row, z, t in zip(rows, Z, times, strict=False):
             expected, S, _ = linear_reading(sensor, float(t), row["x_prior"], row["P_prior"])
             row |= {"innovation": sensor.residual(z, expected), "innovation_cov": S + sensor.noise_cov}
     return rows
-
-
-def _row(*told: Any) -> dict[str, Any]:
-    """Row of a result for a reading that is usual, of columns as compiled code makes them."""
-    row = zip(_COLUMNS, told, strict=True)
-    known = {name: float(value) if np.ndim(value) == 0 else value for name, value in row}
-    return known | {"flagged": bool(known["flagged"]), "accepted": True}

@@ -136,17 +136,16 @@ class SPHFilter(DensityFilter[ParticleDensity, Dynamics, Sensor | None]):
         known = max_particles(self._configure(config, n_particles, dt), self.config)
         self._adapts = isinstance(known, str)
         least = min_nodes(model.dim) if isinstance(known, str) else int(known)
-        given = self._given(density, x0, P0)
-        start = self._start(x0, P0, t0, known) if given is None else given
+        start = self._begun(density, x0, P0, t0, known)
         self._state = FilterState.begun(start, model.inputs, self.measurement, least)
         self._remember_from_here(window)
 
-    def _given(self, density: Any, x0: Any, P0: Any) -> ParticleDensity | None:
-        """The density that the filter is to start with, if it is given, and not its mean and covariance."""
+    def _begun(self, density: Any, x0: Any, P0: Any, t0: float, n_particles: Any) -> ParticleDensity:
+        """The density that the filter starts with: as it is given, or by its mean and covariance."""
         if density is None:
             if x0 is None or P0 is None:
                 raise ModelError("the filter needs x0 and P0, or density=")
-            return None
+            return self._start(x0, P0, t0, n_particles)
         if x0 is not None or P0 is not None:
             raise ModelError("give either x0 and P0, or density=, not both")
         if not isinstance(density, ParticleDensity) or density.dim != self.model.dim:

@@ -52,7 +52,7 @@ class FilterState(Noted, Generic[Carried]):
     ) -> Self:
         """The state of a filter that starts with a density, and has inputs and a sensor."""
         moments = 3 * _moments(density)
-        said = said_of_reading(measurement, None, None) if has_gaussian_noise(measurement) else {}
+        said = said_of_reading(measurement, None, None)
         return cls(density, None, *moments, **said, inputs=dict(inputs), n_particles=n_particles)
 
     @property
@@ -95,7 +95,9 @@ def _moments(density: ParticleDensity | ModeDensities) -> tuple[Floats, Floats]:
     return read_only(mean), read_only(cov)
 
 
-def said_of_reading(measurement: Sensor, z: ArrayLike | None, info: UpdateInfo | None) -> dict[str, Any]:
+def said_of_reading(
+    measurement: Sensor | None, z: ArrayLike | None, info: UpdateInfo | None
+) -> dict[str, Any]:
     """A measurement, its innovation and the covariance of that, in shapes of the sensor, by name.
 
     Without an info there was no measurement yet.

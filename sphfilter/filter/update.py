@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from ..config import CloudScheme, FamilyScheme, FilterConfig, PaperScheme, checked_filter_config
 from ..core.limits import ALIKE
 from ..density.left_out import lacking
+from ..density.memory import flagged_if_missed
 from ..density.particle_density import ParticleDensity
 from ..density.resample import max_particles_of, on_lattice, target_of
 from ..info import DOUBTFUL, NOTHING_CAME, Code, UpdateInfo, may_be_off
@@ -80,8 +81,9 @@ def update(
         )
     if target is not None and config.scheme == "auto" and not config.acceptance.enabled:
         posterior, said = by_ladder(density, asked, target, config)
+        said |= flagged_if_missed(said["code"], said["error"], target)
     elif isinstance(config.scheme, FamilyScheme):
-        posterior, said, _ = by_family(density, asked, degree_of(config.scheme, density.dim), bound)
+        (posterior, said), _ = by_family(density, asked, degree_of(config.scheme, density.dim), bound)
     else:
         regrids = isinstance(config.scheme, PaperScheme) or config.acceptance.enabled
         as_cloud = density.form.own_points or isinstance(config.scheme, CloudScheme)

@@ -26,7 +26,7 @@ from .posterior import ParameterPosterior, Prior, posterior_of
 from .quadratic import Quadratic, quadratic, roughness, step_for
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ParameterFit(Pickled):
     """Parameters of largest evidence, with their standard errors.
 
@@ -160,9 +160,6 @@ class ParameterFit(Pickled):
             A new figure if not given; returned either way.
         """
         return drawing.fit(self, self.names, drawing.chosen(self.names, parameters), ax)
-
-    def __repr__(self) -> str:
-        return f"ParameterFit({'; '.join(str(self).splitlines())})"
 
     def __str__(self) -> str:
         rows = [f"{k} = {v:.5g} ± {self.standard_error[k]:.2g}" for k, v in self.estimate.items()]
@@ -372,21 +369,17 @@ def _told(
     said += f", by its slopes {off:.1g} standard errors away" if 0.01 < off < np.inf else ""
     if held:
         said += f"; on a bound or very near it, without a standard error: {', '.join(held)}"
+    own = "n_readings", "data", "n_evaluations", "times", "measurements", "inputs"
     return ParameterFit(
         estimate=MappingProxyType(evidence.named(theta)),
         standard_error=MappingProxyType(evidence.named(np.sqrt(np.diag(covariance)))),
         covariance=covariance,
         log_evidence=value,
         result=evidence.result(theta),
-        n_readings=evidence.n_readings,
-        data=evidence.data,
-        n_evaluations=evidence.n_evaluations,
         roughness=rough,
         at_bound=held,
         converged=bool(converged),
         status=said,
-        times=evidence.times,
-        measurements=evidence.measurements,
-        inputs=evidence.inputs,
         _evidence=evidence,
+        **{name: getattr(evidence, name) for name in own},
     )

@@ -63,7 +63,10 @@ def checked_guess(
 
 
 class Pickled:
-    """What holds read-only mappings, which Python does not pickle as they are."""
+    """What holds read-only mappings, which Python does not pickle as they are; and is told on one line."""
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({'; '.join(str(self).splitlines())})"
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: dict(v) if isinstance(v, MappingProxyType) else v for k, v in vars(self).items()}

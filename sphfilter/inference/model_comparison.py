@@ -1,7 +1,7 @@
 """Models compared by the evidence of the same measurements."""
 
 import copy
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -97,15 +97,8 @@ class ModelComparison:
 
     def as_dict(self) -> dict[str, Any]:
         """Numbers and words by model, for files."""
-        columns = {
-            "log_evidence": self.log_evidence,
-            "evidence_error": self.evidence_error,
-            "n_parameters": self.n_parameters,
-            "n_rejected": self.n_rejected,
-            "aic": self.aic,
-            "bic": self.bic,
-            "log_bayes_factor": self.log_bayes_factor,
-        }
+        told = ("log_evidence", "evidence_error", "n_parameters", "n_rejected")
+        columns = {name: getattr(self, name) for name in (*told, "aic", "bic", "log_bayes_factor")}
         rows = {
             name: {key: values[k].item() for key, values in columns.items()} | {"against": self.words[k]}
             for k, name in enumerate(self.names)
@@ -176,7 +169,12 @@ def compare_models(
     if not candidates:
         raise ModelError("there is no model to compare; give filters or fits by name")
     if times is None or measurements is None:
-        fit = _first_fit(candidates.values(), times is not None or measurements is not None)
+        fit = next((one for one in candidates.values() if isinstance(one, ParameterFit)), None)
+        if times is not None or measurements is not None or fit is None:
+            raise ModelError(
+                "filters are compared by times and measurements: give both, or neither and a fit, which has "
+                "them"
+            )
         times, measurements, inputs = fit.times, fit.measurements, fit.inputs if inputs is None else inputs
     sensors = [found for one in candidates.values() if (found := getattr(one, "measurement", None))]
     numbers = rows_of(sensors[0] if sensors else None, measurements)
@@ -198,16 +196,6 @@ def compare_models(
         data=data,
         evidence_error=np.array(errors),
     )
-
-
-def _first_fit(candidates: Iterable[Any], given: bool) -> ParameterFit:
-    """The first fit, whose data all are compared on where none are given."""
-    fits = [one for one in candidates if isinstance(one, ParameterFit)]
-    if given or not fits:
-        raise ModelError(
-            "filters are compared by times and measurements: give both, or neither and a fit, which has them"
-        )
-    return fits[0]
 
 
 def _judged(

@@ -31,7 +31,7 @@ _ENOUGH = 256.0  # effective draws; measured: means of one to five parameters wi
 _FEW = 30.0  # effective draws that tell no tails: 30 / 20 = 1.5 lie beyond a quantile of .05
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ParameterPosterior(Pickled):
     """The probability density of fitted parameters, given the measurements, as weighted draws.
 
@@ -129,9 +129,6 @@ class ParameterPosterior(Pickled):
     def plot(self, parameters: Sequence[str] | None = None, ax: Any = None) -> Any:
         """Draw histograms beside the Gaussians of the fit; arguments as of `ParameterFit.plot`."""
         return drawing.posterior(self, self.names, drawing.chosen(self.names, parameters), ax)
-
-    def __repr__(self) -> str:
-        return f"ParameterPosterior({'; '.join(str(self).splitlines())})"
 
     def __str__(self) -> str:
         rows = []
@@ -280,7 +277,6 @@ def _checked(prior: Any, evidence: Evidence) -> tuple[LogPrior, bool]:
         size *= (
             high - low if name not in known else one.cdf(high) - one.cdf(low) if hasattr(one, "cdf") else 1.0
         )
-    norm = math.log(max(size, TINY)) if math.isfinite(size) else 0.0
-    return lambda p: sum(float(one.logpdf(p[name])) for name, one in known.items()) - norm, math.isfinite(
-        size
-    )
+    proper = math.isfinite(size)
+    norm = math.log(max(size, TINY)) if proper else 0.0
+    return lambda p: sum(float(one.logpdf(p[name])) for name, one in known.items()) - norm, proper

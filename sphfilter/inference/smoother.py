@@ -44,7 +44,8 @@ from .cloud_smoother import POINTS, SmoothedEpoch, between, on_clouds
 #: Standard deviations that lattices of the smoother reach further than those of the filter: what β is beyond
 #: their edge is a guess, and stays one. Measured: half and twice move means of three records by .002 at most.
 _FURTHER = 0.8
-_TOLD = "log_evidence", "accepted", "error", "variance_error", "evidence_error", "flagged"  # by an update
+_MOMENTS = "x_prior", "P_prior", "x", "P"  # of the filter after an update, and what that tells
+_TOLD = "log_evidence", "accepted", "error", "variance_error", "evidence_error", "flagged"
 
 
 @dataclass(frozen=True)
@@ -182,21 +183,21 @@ def smooth(
         if points or filt is start:  # lattices that were asked for
             raise
         return smooth(_on_clouds(start), times, measurements, sensors=sensors, inputs=inputs)
-    of = np.repeat(np.arange(len(epochs)), [epoch.rows for epoch in epochs])
-    densities, total, extrapolated, error, wider = zip(*smoothed, strict=True)
+    each = [own for own, epoch in zip(smoothed, epochs, strict=True) for _ in range(epoch.rows)]
+    densities, total, extrapolated, error, wider = zip(*each, strict=True)
     most = flagged_from(filt.config.target_error)
     flagged = [a > most or may_be_wrong(b, most) for a, b in zip(error, wider, strict=True)]
     return SmoothedResult(
         t=times,
-        x=np.array([densities[k].mean() for k in of]),
-        P=np.array([densities[k].cov() for k in of]),
-        densities=tuple(densities[k] for k in of),
+        x=np.array([density.mean() for density in densities]),
+        P=np.array([density.cov() for density in densities]),
+        densities=densities,
         filtered=filtered,
-        log_evidence=np.array(total)[of],
-        extrapolated=np.array(extrapolated)[of],
-        error=np.array(error)[of],
-        variance_error=np.array(wider)[of],
-        flagged=np.array(flagged)[of],
+        log_evidence=np.array(total),
+        extrapolated=np.array(extrapolated),
+        error=np.array(error),
+        variance_error=np.array(wider),
+        flagged=np.array(flagged),
     )
 
 
@@ -282,7 +283,7 @@ def _forward(
     filt = copy.copy(filt)
     filt.config = replace(filt.config, exact_linear=False)  # its steps are those of the way back
     epochs = [_Epoch(copy.copy(filt), 0, [], 0)] if begun else []
-    rows, told = [], []
+    rows = []
     for t, (sensor, z), u in zip(times, read, inputs, strict=True):
         for stop in [*(filt.model.breaks(filt.t, t) if epochs else ()), t]:
             steps = _predicted(filt, stop, u) if stop > filt.t else 0
@@ -293,11 +294,9 @@ def _forward(
         if info.accepted and sensor.observed(z).any():
             epochs[-1].seen.append((driven(sensor, filt.inputs), z))
         epochs[-1].filt, epochs[-1].variance_error = copy.copy(filt), info.variance_error
-        rows.append((filt.x_prior, filt.P_prior, filt.x, filt.P))
-        told.append([getattr(info, name) for name in _TOLD])
-    x_prior, P_prior, x, P = (np.array(column) for column in zip(*rows, strict=True))
-    said = {name: np.array(column) for name, column in zip(_TOLD, zip(*told, strict=True), strict=True)}
-    return epochs, FilterResult(times, x_prior, P_prior, x, P, **said)
+        rows.append([getattr(filt, name) for name in _MOMENTS] + [getattr(info, name) for name in _TOLD])
+    columns = map(np.array, zip(*rows, strict=True))
+    return epochs, FilterResult(times, **dict(zip(_MOMENTS + _TOLD, columns, strict=True)))
 
 
 def _predicted(filt: SPHFilter, t: float, u: Mapping[str, float] | None) -> int:

@@ -67,7 +67,8 @@ class EvidenceHypothesiser(Hypothesiser):
         prediction = self.predictor.predict(track, timestamp=timestamp, **kwargs)
         missed = Probability(1.0 - float(self.prob_detect) * float(self.prob_gate))
         hypotheses = [SingleProbabilityHypothesis(prediction, MissedDetection(timestamp=timestamp), missed)]
-        for detection in sorted(detections, key=_place):  # a set's order changes from run to run
+        # by their numbers: a set's order changes from run to run
+        for detection in sorted(detections, key=lambda found: tuple(map(float, found.state_vector))):
             scored = self._scored(track, detection, **kwargs)
             if scored is not None:
                 hypotheses.append(scored)
@@ -87,8 +88,3 @@ class EvidenceHypothesiser(Hypothesiser):
         log_p = self.updater.log_evidence(prediction, detection)
         score = log_p + np.log(float(self.prob_detect)) - np.log(self.clutter_spatial_density)
         return SingleProbabilityHypothesis(prediction, detection, Probability(score, log_value=True), reading)
-
-
-def _place(detection: Detection) -> tuple[float, ...]:
-    """The numbers of a detection, which say where it stands among others."""
-    return tuple(float(value) for value in detection.state_vector)

@@ -4,6 +4,7 @@ import datetime
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -255,16 +256,14 @@ class SPHUpdater(DensityUpdater):
         return started(state, n_particles, self._config)
 
     def _alone(self, state: SPHState, sensor: Sensor, z: Floats) -> Part:
-        def made() -> Part:
-            return alone(state, sensor, z, self._config, self.n_particles)
-
-        return self._once(state, sensor, z, made)
+        make = partial(alone, state, sensor, z, self._config, self.n_particles)
+        return self._once(state, sensor, z, make)
 
     def _multiplied(self, state: SPHState, sensor: Sensor, z: Any) -> Step:
-        return _step(state, self._product(state, sensor, z, self._config), sensor, z)
+        return _step(state, self._product(state, sensor, z, 1, self._config), sensor, z)
 
     def _product(
-        self, state: SPHState, sensor: Sensor, z: Any, config: FilterConfig, times: int = 1
+        self, state: SPHState, sensor: Sensor, z: Any, times: int, config: FilterConfig
     ) -> Outcome[UpdateInfo]:
         """The `Outcome` of an update on so many times the particles, the bound of which is kept."""
         density, origin = state.density, prediction_of(origin_of(state))
@@ -279,10 +278,8 @@ class SPHUpdater(DensityUpdater):
         weights, means, covs = zip((missed, density.mean(), density.cov()), *moments, strict=True)
         mean = None if density.domain is not None else np.average(means, axis=0, weights=weights)
 
-        def product(times: int, config: FilterConfig) -> Outcome[UpdateInfo]:
-            return self._product(state, association, z, config, times)
-
         check_sharpness(weights, covs, max_particles_of(density, self.n_particles))
+        product = partial(self._product, state, association, z)
         return _step(state, resolved(product, self._config, density.dim, mean), association, z)
 
     def _gaussian(self, density: ParticleDensity, missed: float, parts: Sequence[Part]) -> ParticleDensity:
@@ -347,9 +344,8 @@ class JumpMarkovUpdater(DensityUpdater):
     def _multiplied(self, state: JumpMarkovState, sensor: Sensor, z: Floats) -> Step:
         def made() -> Step:
             sensors, settings = dict.fromkeys(state.names, sensor), (self._config, self._by.n_particles)
-            return Step(
-                *update_or_predict_modes_again(origin_of(state), state.modes, sensors, z, *settings)[1:]
-            )
+            about = origin_of(state), state.modes, sensors, z
+            return Step(*update_or_predict_modes_again(*about, *settings)[1:])
 
         return self._once(state, sensor, z, made)
 
