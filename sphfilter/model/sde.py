@@ -272,13 +272,10 @@ class SDE(Dynamics):
 
     def breaks(self, t0: float, t1: float) -> Floats:
         """Return the times in [t0, t1] at which the model jumps by itself, sorted: events, jumps of text."""
-        own: list[float] = []
-        switches = self._flags.get("switches") or self._flags.get("tabled")
-        if not switches and not self.events.size:
-            return self.events
-        if switches:
-            own = roots(self._conditions, t0, t1, self.max_step)
-        return np.unique([*self.events[(self.events >= t0) & (self.events <= t1)], *own])
+        inside = self.events[(self.events >= t0) & (self.events <= t1)]
+        if not (self._flags.get("switches") or self._flags.get("tabled")):
+            return inside
+        return np.unique([*inside, *roots(self._conditions, t0, t1, self.max_step)])
 
     def _conditions(self, t: float) -> Floats:
         """Numbers of t that are zero where text switches, or comes to an argument of a table."""
