@@ -97,7 +97,8 @@ def read_out(family: Family, defect: Defect, rest: float = 0.0) -> Told:
         raise PropagationError("one family does not hold the density: few of its nodes have any weight")
     told = told_at(states, w, defect.at(family, states), defect.U, rest)
     apart = moments_apart(b - own_b, C - own_C)
-    variance = math.hypot(told.variance, _most_of(C - own_C, C))
+    change = np.abs((C - own_C).diagonal()) / np.maximum(C.diagonal(), TINY)  # of each variance, as a part
+    variance = math.hypot(told.variance, float(change.max()))
     error, unsigned = math.hypot(told.error, apart), math.hypot(told.unsigned, apart)
     return told._replace(error=error, unsigned=unsigned, variance=variance)
 
@@ -114,11 +115,6 @@ def read_out_after(prior: Family, defect: Defect, points: tuple[Floats, Floats],
 def told_at(x: Floats, w: Floats, off: Floats, U: Floats, rest: float) -> Told:
     """What a defect of values `off` (N,) at states x (N, n) of weights w (N,) tells."""
     return Told(*inherited.told_at(columns(x), as_compiled(w), as_compiled(off), as_compiled(U), rest))
-
-
-def _most_of(change: Floats, cov: Floats) -> float:
-    """Change of the variances of a covariance (n, n), as a part of each, where it is most."""
-    return float((np.abs(change.diagonal()) / np.maximum(cov.diagonal(), TINY)).max())
 
 
 def _weights(family: Family, states: Floats) -> Floats:
