@@ -86,7 +86,8 @@ def symbolic_model(
     }
     if g is not None:
         entries["noise"] = g
-    root = g if g is not None else _diagonal_root(D)
+    # g with g gᵀ = 2 D, one column per state, where each state has noise of its own
+    root = D.applyfunc(lambda v: sp.sqrt(2 * v)) if g is None and D.is_diagonal() else g
     if root is not None and noisy:
         entries |= _flow(f, root, Q, names)
     makers = {name: _maker(name, matrix, names) for name, matrix in entries.items()}
@@ -202,11 +203,6 @@ def _stratonovich_term(g: sp.Matrix, Q: Floats, names: Names) -> sp.Matrix:
             for i in range(n)
         ]
     )  # fmt: skip
-
-
-def _diagonal_root(D: sp.Matrix) -> sp.Matrix | None:
-    """Return g with g gᵀ = 2 D, one column per state, where each state has noise of its own."""
-    return D.applyfunc(lambda v: sp.sqrt(2 * v)) if D.is_diagonal() else None
 
 
 def _flow(f: sp.Matrix, g: sp.Matrix, Q: Floats, names: Names) -> dict[str, sp.Matrix]:
