@@ -86,11 +86,10 @@ def _guess(file: ModelOfFile, names: list[str], given: dict[str, float]) -> dict
 
 
 def _record(fit: ParameterFit) -> dict[str, Any]:
-    told = "log_evidence", "evidence_error", "aic", "bic", "n_readings", "n_evaluations"
-    told += "converged", "status", "at_bound", "roughness", "data"  # type: ignore[assignment]
+    names = ["log_evidence", "evidence_error", "aic", "bic", "n_readings", "n_evaluations"]
+    names += ["converged", "status", "at_bound", "roughness", "data"]
     found = {"estimate": dict(fit.estimate), "standard_error": dict(fit.standard_error)}
-    rest = {name: getattr(fit, name) for name in told}
-    return found | {"covariance": fit.covariance.tolist()} | rest
+    return found | {"covariance": fit.covariance.tolist()} | {name: getattr(fit, name) for name in names}
 
 
 def _write(folder: Path, model: Path, record: dict[str, Any]) -> None:

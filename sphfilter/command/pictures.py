@@ -28,9 +28,12 @@ def listed(folder: Path, written: list[str], pictures: dict[str, Callable[[], An
 
 
 def estimates(file: ModelOfFile, data: Measurements, result: FilterResult) -> Any:
-    """Draw estimates of all states over time, with what the sensor read of them."""
-    ax = over_time(result.plot(), file, data)
-    _add_readings(ax, file, data)
+    """Draw estimates of all states over time, and readings as dots where the sensor reads them one by one."""
+    ax, observed = over_time(result.plot(), file, data), file.sensor.directly_observed
+    for column, (state, scale) in enumerate(zip(*observed, strict=True) if observed else ()):
+        panel = np.ravel(ax)[state]
+        panel.plot(data.times, data.z[:, column] / scale, ".", ms=4, color="0.15", label="reading")
+        panel.legend(loc="best", frameon=False, fontsize=8)
     return ax
 
 
@@ -51,12 +54,3 @@ def over_time(ax: Any, file: ModelOfFile, data: Measurements) -> Any:
         lowest.xaxis.set_major_formatter(lambda t, place: str(data.stamp(t)))
         lowest.figure.autofmt_xdate()
     return ax
-
-
-def _add_readings(ax: Any, file: ModelOfFile, data: Measurements) -> None:
-    """Draw readings of states as dots, where the sensor reads states one by one."""
-    observed = file.sensor.directly_observed
-    for column, (state, scale) in enumerate(zip(*observed, strict=True) if observed else ()):
-        panel = np.ravel(ax)[state]
-        panel.plot(data.times, data.z[:, column] / scale, ".", ms=4, color="0.15", label="reading")
-        panel.legend(loc="best", frameon=False, fontsize=8)

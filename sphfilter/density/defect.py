@@ -89,15 +89,15 @@ def read_out(family: Family, defect: Defect, rest: float = 0.0) -> Told:
     What moments by these nodes are off from those by the family's own is an error, too: far out both rules
     take a polynomial that rises for one that falls, and the own does not.
     """
-    nodes = at_both_rules(len(family.mu), family.degree)
-    states = family.mu + nodes.xi @ family.A.T
-    w, (own_b, own_C) = _weights(family, states), node_moments(family.basis.xi, family.weighted()[0])
+    (nodes, states, w), own = _at_nodes(family), node_moments(family.basis.xi, family.weighted()[0])
+    own_b, own_C = own
     b, C = node_moments(nodes.xi, w)
     if not whitener(C).any():
         raise PropagationError("one family does not hold the density: few of its nodes have any weight")
     told = told_at(states, w, defect.at(family, states), defect.U, rest)
     apart = moments_apart(b - own_b, C - own_C)
-    variance = math.hypot(told.variance, _most_of(C - own_C, C))
+    change = np.abs((C - own_C).diagonal()) / np.maximum(C.diagonal(), TINY)  # of each variance, as a part
+    variance = math.hypot(told.variance, float(change.max()))
     error, unsigned = math.hypot(told.error, apart), math.hypot(told.unsigned, apart)
     return told._replace(error=error, unsigned=unsigned, variance=variance)
 
@@ -116,25 +116,21 @@ def told_at(x: Floats, w: Floats, off: Floats, U: Floats, rest: float) -> Told:
     return Told(*inherited.told_at(columns(x), as_compiled(w), as_compiled(off), as_compiled(U), rest))
 
 
-def _most_of(change: Floats, cov: Floats) -> float:
-    """Change of the variances of a covariance (n, n), as a part of each, where it is most."""
-    return float((np.abs(change.diagonal()) / np.maximum(cov.diagonal(), TINY)).max())
-
-
-def _weights(family: Family, states: Floats) -> Floats:
-    """Probabilities (N,) of the nodes of both rules, where these are."""
-    log_w = family.log_p(states) + at_both_rules(len(family.mu), family.degree).log_w
+def _at_nodes(family: Family) -> tuple[Basis, Floats, Floats]:
+    """Nodes of both rules, states (N, n) where a family has these, and their probabilities (N,)."""
+    nodes = at_both_rules(len(family.mu), family.degree)
+    states = family.mu + nodes.xi @ family.A.T
+    log_w = family.log_p(states) + nodes.log_w
     w = np.exp(log_w - log_w.max())
-    return np.asarray(w / w.sum(), np.float64)
+    return nodes, states, np.asarray(w / w.sum(), np.float64)
 
 
 def defect_of(family: Family, log_p: OfStates, like: Defect) -> Defect:
     """The defect of a family that stands for a density of logarithm log_p; `like` that has all else."""
-    nodes = at_both_rules(len(family.mu), family.degree)
-    X = family.mu + nodes.xi @ family.A.T
+    nodes, X, w = _at_nodes(family)
     missed = log_p(X) - family.c @ nodes.V[: len(family.c)]
     e = missed @ nodes.F
-    rest = math.sqrt(float(_weights(family, X) @ (missed - e @ nodes.V) ** 2))
+    rest = math.sqrt(float(w @ (missed - e @ nodes.V) ** 2))
     return Defect(e, like.U, math.hypot(like.rest, rest))
 
 
@@ -154,9 +150,8 @@ def after_reading(
     Of a normalised posterior `products` (N,) are the logarithms of prior times likelihood over the evidence,
     at its nodes of both rules; moments are those before and after the reading.
     """
-    nodes = at_both_rules(len(prior.mu), posterior.degree)
-    states = posterior.mu + nodes.xi @ posterior.A.T
-    off, w = defect.at(prior, states), _weights(posterior, states)
+    nodes, states, w = _at_nodes(posterior)
+    off = defect.at(prior, states)
     missed = products + off - posterior.c @ nodes.V[: len(posterior.c)]
     e = missed @ nodes.F
     left = Defect(e, *_without_sign(prior, defect, moments))

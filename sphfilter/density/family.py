@@ -179,14 +179,13 @@ def _standard(n: int, degree: int) -> Floats:
 
 def particles_of(family: Family) -> dict[str, Any]:
     """Fields of a density that is one family, by name: its nodes are its particles."""
-    own = dict(zip(("x", "mass", "h"), nodes_of(family), strict=True))
-    return own | {"read_out": "family", "family": family, "moments": moments_of(family)}
+    return nodes_of(family) | {"read_out": "family", "family": family, "moments": moments_of(family)}
 
 
-def nodes_of(family: Family) -> tuple[Floats, Floats, Floats]:
-    """Nodes (N, n) of a family, their masses (N,), and how wide (N,) each is."""
-    w = family.weighted()[0]
-    return family.nodes, w, np.full(len(w), abs(np.linalg.det(family.A)) ** (1.0 / len(family.mu)))
+def nodes_of(family: Family) -> dict[str, Any]:
+    """Particles of a family by name: its nodes x (N, n), their mass (N,), and how wide, h (N,), each is."""
+    w, width = family.weighted()[0], abs(np.linalg.det(family.A)) ** (1.0 / len(family.mu))
+    return {"x": family.nodes, "mass": w, "h": np.full(len(w), width)}
 
 
 def moments_of(family: Family) -> tuple[Floats, Floats]:

@@ -98,7 +98,7 @@ def initialize(
     [[3.93]]
     """
     scheme = (config or SolverConfig()).scheme
-    if isinstance(distribution, Gaussian) and domain is not None:
+    if isinstance(distribution, Gaussian):
         check_within(distribution, Domain.of(domain, len(distribution.mean)).walls)
     if isinstance(n_particles, str):
         choice("n_particles", n_particles, ["auto"])
@@ -135,7 +135,7 @@ def _to_target(
 ) -> ParticleDensity:
     """A Gaussian as one family, another distribution on as many nodes as a target error asks for."""
     n = len(_box_of(distribution, box))
-    known = None if domain is None else Domain.of(domain, n)
+    known = Domain.of(domain, n)
     ladder = config is None or config.scheme == "auto"
     if ladder and not degrees(n):
         raise ModelError(
@@ -159,18 +159,18 @@ def _as_family(distribution: Distribution, t: float, domain: DomainLike) -> Part
     """A Gaussian that no wall cuts, as one family."""
     if not isinstance(distribution, Gaussian):
         return None
-    known = None if domain is None else Domain.of(domain, len(distribution.mean))
-    if known is not None and known.walled.any():
+    known = Domain.of(domain, len(distribution.mean))
+    if known.walled.any():
         return None
     start = gaussian_family(distribution.mean, distribution.cov, 2)
-    about: dict[str, Any] = {"t": t, "gaussian": known is None or known.unbounded, "domain": known}
+    about: dict[str, Any] = {"t": t, "gaussian": known.unbounded, "domain": known}
     return ParticleDensity(**particles_of(start), **about)
 
 
 def _bounds(domain: DomainLike, box: Floats) -> Domain | None:
     """The domain of a density whose states are those of a box; None if it has no bounds."""
-    domain = None if domain is None else Domain.of(domain, len(box))
-    return None if domain is None or domain.unbounded else domain
+    domain = Domain.of(domain, len(box))
+    return None if domain.unbounded else domain
 
 
 def _seen_from(distribution: Distribution, box: Floats, domain: Domain | None) -> tuple[OfStates, Floats]:

@@ -206,7 +206,7 @@ class ParticleDensity(Noted):
             family = vars(self).get("family")
             if family is None or name not in ("x", "mass", "h"):
                 raise AttributeError(f"a ParticleDensity has no {name!r}")
-            for key, value in zip(("x", "mass", "h"), nodes_of(family), strict=True):
+            for key, value in nodes_of(family).items():
                 value.flags.writeable = False
                 vars(self)[key] = value
             return vars(self)[name]

@@ -165,7 +165,7 @@ def regrid(
     if not isinstance(scheme, PaperScheme):
         return _relaid(density, n_particles, scheme, log_weight)
     measured, domain = log_weight is not None, density.domain
-    log_weight = log_weight or (lambda X: np.zeros(len(X)))
+    log_weight = log_weight or no_weight
     if domain is not None:
         density, log_weight = _unrolled(density, domain), lambda X, given=log_weight: given(domain.wrap(X))
     raw, product = _weighted_masses(density, log_weight), partial(_product, density, log_weight)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._types import Bools, Floats, Ints, OfStates
+from .._types import Bools, Floats, OfStates
 from ..core.cloud.control import SHADOW, error_by
 from ..core.cloud.inherited import OF_SHIFT
 from ..core.limits import LITTLE, TINY
@@ -77,7 +77,10 @@ def moment(density: "ParticleDensity", powers: Sequence[int], centre: Floats | N
     if orders.shape != (density.dim,) or np.any(orders < 0) or np.any(orders != np.floor(orders)):
         raise ModelError(f"powers must be {density.dim} whole numbers >= 0, one a state, got {orders!r}")
     if orders.sum() <= 2 and density.domain is None:  # a lattice knows these beyond its cut too
-        return _low_moment(density, orders.astype(int), centre)
+        axes = np.repeat(np.arange(density.dim), orders.astype(int))
+        off = density.mean() if centre is None else density.mean() - centre
+        low = float(np.prod(off[axes]))
+        return low + float(density.cov()[tuple(axes)]) if len(axes) == 2 else low
     exact = density.form.raw_moment(orders, np.zeros(density.dim) if centre is None else centre)
     if exact is not None:
         return exact
@@ -88,14 +91,6 @@ def moment(density: "ParticleDensity", powers: Sequence[int], centre: Floats | N
         return np.prod(X**orders, axis=1)
 
     return expectation(density, product)
-
-
-def _low_moment(density: "ParticleDensity", powers: Ints, centre: Floats | None) -> float:
-    """Moment of order two at most."""
-    axes = np.repeat(np.arange(density.dim), powers)
-    off = density.mean() if centre is None else density.mean() - centre
-    product = float(np.prod(off[axes]))
-    return product + float(density.cov()[tuple(axes)]) if len(axes) == 2 else product
 
 
 def quantile(density: "ParticleDensity", axis: int, probability: ArrayLike) -> Any:

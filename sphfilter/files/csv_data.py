@@ -16,7 +16,7 @@ from .._types import Floats
 from ..errors import ConfigError, nearest
 
 _Path: TypeAlias = str | PathLike[str]
-_Line: TypeAlias = tuple[int, list[str]]
+_Cells: TypeAlias = list[tuple[int, str]]  # of a column: numbers of lines, and what stands there
 #: Columns of measurements, of several sensors by name.
 _Columns: TypeAlias = Sequence[str] | Mapping[str, Sequence[str]]
 
@@ -83,7 +83,7 @@ _UNITS |= {f"{word}s": value for word, value in _UNITS.items() if len(word) > 3}
 
 def columns_of(path: _Path) -> list[str]:
     """Names of the columns of a CSV file."""
-    return _read(path)[0]
+    return [*_read(path)]
 
 
 def read_columns(path: _Path, names: Sequence[str | None]) -> list[Floats]:
@@ -91,10 +91,10 @@ def read_columns(path: _Path, names: Sequence[str | None]) -> list[Floats]:
 
     Raises `ConfigError` as `read_measurements` does; of a cell that is empty, too.
     """
-    heading, rows = _read(path)
-    own = [heading[0] if name is None else name for name in names]
-    _check_names(path, own, heading)
-    return [_full_column(path, rows, heading.index(name), name, "a table") for name in own]
+    cells = _read(path)
+    own = [next(iter(cells)) if name is None else name for name in names]
+    _check_names(path, own, cells)
+    return [_full_column(path, name, cells[name], "a table") for name in own]
 
 
 def read_measurements(
@@ -119,38 +119,32 @@ def read_measurements(
     Raises `ConfigError` for a file that cannot be read, a column that is not there, a cell that is no number,
     times that are missing or decrease; the sentence names file, line and column.
     """
-    heading, rows = _read(path)
-    time, inputs = time or heading[0], inputs or {}
-    _check_names(path, [time, *inputs.values()], heading)
+    cells = _read(path)
+    time, inputs = time or next(iter(cells)), inputs or {}
+    _check_names(path, [time, *inputs.values()], cells)
     if isinstance(n_columns, Mapping):
-        names = _columns_of_each(path, n_columns, columns, heading)
+        names = _columns_of_each(path, n_columns, columns, cells)
     else:
-        names = tuple(columns) or tuple(n for n in heading if n != time and n not in inputs.values())
-    _check_names(path, names, heading)
+        names = tuple(columns) or tuple(n for n in cells if n != time and n not in inputs.values())
+    _check_names(path, names, cells)
     if not isinstance(n_columns, Mapping) and len(names) != n_columns:
         raise ConfigError(
             f"the sensor gives {n_columns} values, but {path} has {len(names)} columns of measurements "
             f"({', '.join(names)}): name those to use in data.columns of the model file"
         )
-    times, dates = _times(path, rows, heading.index(time), time, unit)
-    values = [_column(path, rows, heading.index(name), name) for name in names]
+    times, dates = _times(path, time, cells[time], unit)
+    values = [_column(path, name, cells[name]) for name in names]
     title = f"{time}{_COUNTED}{unit or 's'} from {dates[0].isoformat(' ')}" if dates else time
-    driving = {
-        own: _full_column(
-            path, rows, heading.index(name), name, "an input, held over the interval that ends at a line,"
-        )
-        for own, name in inputs.items()
-    }
+    held = "an input, held over the interval that ends at a line,"
+    driving = {own: _full_column(path, name, cells[name], held) for own, name in inputs.items()}
     return Measurements(title, names, times, np.column_stack(values), driving, dates, unit)
 
 
-def _times(
-    path: _Path, rows: list[_Line], index: int, name: str, unit: str
-) -> tuple[Floats, tuple[datetime, ...]]:
+def _times(path: _Path, name: str, cells: _Cells, unit: str) -> tuple[Floats, tuple[datetime, ...]]:
     """The column of times, and its dates, if it has some."""
-    dates = _dates(path, rows, index, name) if _is_date(rows[0][1][index]) else ()
-    times = _counted(path, dates, unit) if dates else _column(path, rows, index, name)
-    for i, (line, _) in enumerate(rows):
+    dates = _dates(path, name, cells) if _is_date(cells[0][1]) else ()
+    times = _counted(path, dates, unit) if dates else _column(path, name, cells)
+    for i, (line, _) in enumerate(cells):
         if not np.isfinite(times[i]):
             raise ConfigError(f"{path}, line {line}: there is no time in column {name!r}")
         if i and times[i] < times[i - 1]:
@@ -161,7 +155,7 @@ def _times(
     return times, dates
 
 
-def _check_names(path: _Path, names: Iterable[str], heading: Sequence[str]) -> None:
+def _check_names(path: _Path, names: Iterable[str], heading: Iterable[str]) -> None:
     for name in names:
         if name not in heading:
             raise ConfigError(
@@ -175,7 +169,7 @@ def usual_columns(name: str, count: int) -> tuple[str, ...]:
 
 
 def _columns_of_each(
-    path: _Path, counts: Mapping[str, int], columns: _Columns, heading: Sequence[str]
+    path: _Path, counts: Mapping[str, int], columns: _Columns, heading: Iterable[str]
 ) -> tuple[str, ...]:
     """Columns of several sensors, in their order: those that are given, else those of their names."""
     if not isinstance(columns, Mapping):
@@ -200,8 +194,8 @@ def _columns_of_each(
     return tuple(found)
 
 
-def _read(path: _Path) -> tuple[list[str], list[_Line]]:
-    """Heading, and a list of (line number, cells); empty lines are skipped."""
+def _read(path: _Path) -> dict[str, _Cells]:
+    """Columns by name; empty lines are skipped."""
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             first = file.readline()
@@ -225,7 +219,7 @@ def _read(path: _Path) -> tuple[list[str], list[_Line]]:
     for line, row in rows:
         if len(row) != len(heading):
             raise ConfigError(f"{path}, line {line}: {len(row)} cells under {len(heading)} column names")
-    return heading, rows
+    return {name: [(line, row[k]) for line, row in rows] for k, name in enumerate(heading)}
 
 
 def _with_point(cell: str) -> str:
@@ -250,14 +244,14 @@ def _is_date(cell: str) -> bool:
     return False
 
 
-def _dates(path: _Path, rows: list[_Line], index: int, name: str) -> tuple[datetime, ...]:
+def _dates(path: _Path, name: str, cells: _Cells) -> tuple[datetime, ...]:
     found = []
-    for line, row in rows:
+    for line, cell in cells:
         try:
-            found.append(datetime.fromisoformat(row[index]))
+            found.append(datetime.fromisoformat(cell))
         except ValueError:
             raise ConfigError(
-                f"{path}, line {line}, column {name!r}: {row[index]!r} is no date as in the first line, "
+                f"{path}, line {line}, column {name!r}: {cell!r} is no date as in the first line, "
                 "such as 2024-05-01 or 2024-05-01T12:30"
             ) from None
     return tuple(found)
@@ -275,16 +269,16 @@ def _counted(path: _Path, dates: Sequence[datetime], unit: str) -> Floats:
     return np.array([(date - dates[0]).total_seconds() for date in dates]) / _UNITS[unit]
 
 
-def _column(path: _Path, rows: list[_Line], index: int, name: str) -> Floats:
-    values = np.full(len(rows), np.nan)
-    for i, (line, row) in enumerate(rows):
-        if row[index].lower() in _MISSING:
+def _column(path: _Path, name: str, cells: _Cells) -> Floats:
+    values = np.full(len(cells), np.nan)
+    for i, (line, cell) in enumerate(cells):
+        if cell.lower() in _MISSING:
             continue
         try:
-            values[i] = float(row[index])
+            values[i] = float(cell)
         except ValueError:
             raise ConfigError(
-                f"{path}, line {line}, column {name!r}: {row[index]!r} is not a number; "
+                f"{path}, line {line}, column {name!r}: {cell!r} is not a number; "
                 "leave the cell empty, or write n/a, where nothing was measured; dates of a first column are "
                 "written as 2024-05-01 or 2024-05-01T12:30"
             ) from None
@@ -293,9 +287,9 @@ def _column(path: _Path, rows: list[_Line], index: int, name: str) -> Floats:
     return values
 
 
-def _full_column(path: _Path, rows: list[_Line], index: int, name: str, what: str) -> Floats:
+def _full_column(path: _Path, name: str, cells: _Cells, what: str) -> Floats:
     """A column without empty cells; `what` it is, for errors."""
-    values = _column(path, rows, index, name)
+    values = _column(path, name, cells)
     for i in np.flatnonzero(np.isnan(values)):
-        raise ConfigError(f"{path}, line {rows[i][0]}, column {name!r}: {what} needs a number in every line")
+        raise ConfigError(f"{path}, line {cells[i][0]}, column {name!r}: {what} needs a number in every line")
     return values

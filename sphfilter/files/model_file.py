@@ -100,9 +100,9 @@ def read_data(settings: ModelFile, path: str | PathLike[str]) -> Measurements:
     An input that the model gives no value of needs a column.
     """
     columns, model = settings.data, settings.model
-    _check_known("data.inputs", columns.inputs, model.inputs, "input of the model")
+    check_known("data.inputs", columns.inputs, model.inputs, "input of the model")
     if isinstance(columns.columns, dict):
-        _check_known("data.columns", columns.columns, settings.sensors, "sensor")
+        check_known("data.columns", columns.columns, settings.sensors, "sensor")
     inputs = columns.inputs | {name: name for name in model.inputs if name not in columns.inputs}
     if isinstance(model.inputs, dict):
         there = set(columns_of(path))
@@ -111,10 +111,11 @@ def read_data(settings: ModelFile, path: str | PathLike[str]) -> Measurements:
     return read_measurements(path, settings.n_readings, *where, inputs)
 
 
-def _check_known(key: str, given: Iterable[str], known: Iterable[str], kind: str) -> None:
+def check_known(key: str, given: Iterable[str], known: Iterable[str], kind: str, none: str = "none") -> None:
+    """Raise `ConfigError` for a name that a key gives and that is not known; empty ones are `none`."""
     for name in given:
         if name not in known:
-            there = ", ".join(known) or "none"
+            there = ", ".join(known) or none
             raise ConfigError(
                 f"{key} names {name!r}, which is no {kind}{nearest(name, known)}; there are {there}"
             )

@@ -10,7 +10,7 @@ import numpy as np
 
 from .._types import Floats
 from ..density.distributions import Gaussian
-from ..errors import ConfigError, ModelError, SphfilterError, nearest
+from ..errors import ModelError, SphfilterError
 from ..filter.sph_filter import SPHFilter
 from ..model.discrete import DiscreteModel
 from ..model.measurements import GaussianMeasurement
@@ -18,7 +18,7 @@ from ..model.sde import SDE
 from ..model.sensors import Sensors
 from ..model.tables import Table
 from .csv_data import Measurements
-from .model_file import ModelFile, read_data, read_settings
+from .model_file import ModelFile, check_known, read_data, read_settings
 from .text import OF_RATES, OF_STEPS, ModelText, Reads, Sensor, TableText
 
 AnySensor: TypeAlias = GaussianMeasurement | Sensors
@@ -206,10 +206,4 @@ def check_start(model: SDE | DiscreteModel, sensor: AnySensor, mean: Sequence[fl
 def check_inputs(model: SDE | DiscreteModel, sensor: AnySensor, inputs: Iterable[str] = ()) -> None:
     """Raise `ConfigError` for inputs that the model does not have, of a file or of its sensor."""
     for key, names in (("inputs", inputs), ("the sensor's inputs", sensor.inputs)):
-        for name in names:
-            if name not in model.inputs:
-                known = ", ".join(model.inputs) or "none: give model.inputs"
-                raise ConfigError(
-                    f"{key} names {name!r}, which is no input of the model"
-                    f"{nearest(name, model.inputs)}; there are {known}"
-                )
+        check_known(key, names, model.inputs, "input of the model", "none: give model.inputs")

@@ -13,7 +13,7 @@ from ..config import PaperScheme
 from ..core.limits import ROUNDS
 from ..errors import PropagationError
 from ..model.domain import Domain
-from .regular import MOST_NODES, Lattice, heaviest
+from .regular import MOST_NODES, Lattice, heaviest, mean_and_cov
 
 _ZOOM_ENDS = 0.8  # part of its extent that the posterior fills along every axis when zooming in has ended
 NO_OVERLAP = (
@@ -123,7 +123,7 @@ def _candidates(
     """The central discretisation and its neighbours, one node more or less along each axis (002 4.7.3)."""
     (low, high), n = extents, sought.x.shape[1]
     core = heaviest(sought.mass, scheme.represented_mass).sum()  # particles that hold P_T, and all mass:
-    wanted = _covariance(sought.x, sought.raw), core / heaviest(sought.mass, scheme.domain_mass).sum()
+    wanted = mean_and_cov(sought.x, sought.raw)[1], core / heaviest(sought.mass, scheme.domain_mass).sum()
     least = _least_nodes(n_particles, n)
     dims = _dims(high - low, n_particles, volume_fraction, scheme.anisotropy, least)
     steps = [np.zeros(n, int), *np.eye(n, dtype=int), *-np.eye(n, dtype=int)]
@@ -152,7 +152,7 @@ def _candidate(
     kept = heaviest(product.values, scheme.domain_mass)
     core = heaviest(product.values, scheme.represented_mass)
     mass = product.values[kept] / product.values[kept].sum()
-    off = _covariance(lattice.nodes[kept], mass) - cov
+    off = mean_and_cov(lattice.nodes[kept], mass)[1] - cov
     cov_error = np.sqrt(np.mean(off**2)) / np.trace(cov) if np.trace(cov) > 0 else 0.0
     ratio_error = abs(core.sum() / kept.sum() - core_ratio)
     return Candidate(product, kept, core & kept, cov_error * ratio_error)
@@ -163,8 +163,3 @@ def _spans(candidate: Candidate) -> bool:
     axes = range(len(candidate.product.lattice.dims))
     kept = candidate.kept.reshape(candidate.product.lattice.dims)
     return all(kept.any(axis=tuple(a for a in axes if a != axis)).sum() >= 3 for axis in axes)
-
-
-def _covariance(x: Floats, mass: Floats) -> Floats:
-    d = x - mass @ x
-    return (d * mass[:, None]).T @ d

@@ -12,6 +12,7 @@ from ..core.field.walls import NO_WALLS, Walls
 from ..core.limits import NOTHING, TINY
 from . import field as lattice_field
 from .level_set import LatticeDensity
+from .regular import mean_and_cov
 from .walls import inside, node_weights
 
 #: Probability ε at L standard deviations widens a variance by ε L²: it counts as ε L² / 20, so that what may
@@ -133,8 +134,7 @@ def deep_enough(
     (K, n) and probabilities (K,) of cells beyond these, in tails that end at about that depth.
     """
     allowed, own = gammaincc(0.5 * x.shape[1], depth), mass / mass.sum()
-    mean = own @ x
-    cov = (own[:, None] * (x - mean)).T @ (x - mean)
+    mean, cov = mean_and_cov(x, own)
     counted = own * felt(mean, cov, x)
     missed = 0.0 if beyond is None else float(felt(mean, cov, beyond[0]) @ beyond[1])
     lowest_first = np.argsort(log_p)

@@ -11,6 +11,7 @@ from ..core.field.walls import Walls
 from ..core.limits import ALIKE, ROUNDS, TINY
 from ..errors import ModelError, PropagationError
 from .level_set import LatticeDensity, gaussian_volume, lay
+from .regular import mean_and_cov
 
 _STEP = 0.02  # of slopes, in standard deviations; measured: half and twice move means by .0007 at most
 #: Largest over least variance that is whitened enough. Measured by tests/recorded_runs.py: half and twice
@@ -62,8 +63,8 @@ def posterior(
         w = _weights(log_mass, weight, power)
         effective = w.sum() ** 2 / (w @ w)
         w /= w.sum()
-        mean = w @ x
-        factor = _factor(x, w, mean, mass)
+        mean, cov = mean_and_cov(x, w)
+        factor = _factor(cov, mean_and_cov(x, mass)[1])
         if np.isnan(factor).any():
             raise ModelError("the posterior's covariance is not finite; check the likelihood")
         heavy = w > w.max() * math.exp(-depth)
@@ -154,12 +155,8 @@ def _whitened(factor: Floats, other: Floats) -> bool:
     return spread[-1] < _SKEWED * spread[0]
 
 
-def _factor(x: Floats, w: Floats, mean: Floats, mass: Floats) -> Floats:
-    """Lower factor of the weighted covariance; flat directions get a thousandth of the points' own spread."""
-    d = x - mean
-    cov = (d * w[:, None]).T @ d
-    own = x - mass @ x
-    spread = (own * mass[:, None]).T @ own
+def _factor(cov: Floats, spread: Floats) -> Floats:
+    """Lower factor of a covariance; flat directions get a thousandth of the points' own spread."""
     try:
         return np.asarray(np.linalg.cholesky(cov + 1e-9 * spread))
     except np.linalg.LinAlgError:

@@ -228,6 +228,13 @@ def heaviest(values: Floats, share: float) -> Bools:
     return (values >= level * (1.0 - 1e-12)) & (values > 0)
 
 
+def mean_and_cov(x: Floats, w: Floats) -> tuple[Floats, Floats]:
+    """Mean (n,) and covariance (n, n) of states x (N, n) of weights (N,), by products of matrices."""
+    mean = w @ x
+    d = x - mean
+    return mean, (d * w[:, None]).T @ d
+
+
 def collocation_masses(x: Floats, h: float, target: Floats, kernel_name: str) -> Floats | None:
     """Masses whose mixture takes the target values at the particles (002 (48)); None if any is negative."""
     from scipy import sparse  # on use: import time

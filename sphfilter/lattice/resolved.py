@@ -17,6 +17,7 @@ from .check import Misfit, felt, left_out, misfit
 from .level_set import LatticeDensity, lay, root_of
 from .peaks import Peak, along_axes, peaks
 from .posterior import within_pieces
+from .regular import mean_and_cov
 from .walls import between, inside, moved_in
 
 TOLERATED = 0.05  # residual of a lattice that is not laid again; measured: half takes up to 1.6 times as long
@@ -192,8 +193,7 @@ def _overlooked(
     x, mass, field = prior
     product, log_weight = (between(function, search.walls) for function in (product, log_weight))
     states = [x] if field is None else [x, x + 0.5 * field.A.sum(axis=1)]
-    mean = mass @ x
-    cov = (mass[:, None] * (x - mean)).T @ (x - mean)
+    mean, cov = mean_and_cov(x, mass)
     if search.lines:
         states.append(along_axes(product, log_weight, mean, np.sqrt(np.diag(cov))))
     if search.named is not None:

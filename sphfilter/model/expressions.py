@@ -30,7 +30,8 @@ _ALLOWED = (
     f"'not', and the functions {' '.join(FUNCTIONS)} where table."
 )
 _CONDITIONS = (Ge, Gt, And, Or, Not)
-_RESERVED = ("t", "pi", "where", "table", *FUNCTIONS)
+_CALLED = (*FUNCTIONS, "where", "table")
+_RESERVED = ("t", "pi", *_CALLED)
 _NO_TABLES: Mapping[str, Table] = MappingProxyType({})
 
 
@@ -145,10 +146,9 @@ class _Walk:
         if node.id in self.names.symbols:
             self.names.used.add(node.id)
             return self.names.symbols[node.id]
-        functions = [*FUNCTIONS, "where", "table"]
-        if node.id in functions:
+        if node.id in _CALLED:
             raise self._error(f"{node.id!r} is a function; write {node.id}(...).")
-        near = nearest(node.id, self.names.symbols) or nearest(node.id, functions)
+        near = nearest(node.id, self.names.symbols) or nearest(node.id, _CALLED)
         raise self._error(
             f"unknown name {node.id!r}{near}. The names here are "
             f"{', '.join(self.names.symbols)}, and the functions {' '.join(FUNCTIONS)} where table."
@@ -203,8 +203,7 @@ class _Walk:
         if name == "table":
             return self._table(node.args)
         if name not in FUNCTIONS:
-            known = [*FUNCTIONS, "where", "table"]
-            raise self._error(f"unknown function {name!r}{nearest(name, known)}. {_ALLOWED}")
+            raise self._error(f"unknown function {name!r}{nearest(name, _CALLED)}. {_ALLOWED}")
         build, compute, n_args = FUNCTIONS[name]
         arguments = [self._value(a) for a in node.args]
         if len(arguments) != n_args and not (n_args is None and arguments):

@@ -148,9 +148,7 @@ class JumpMarkovModel:
 
 def _made(modes: Any, rates: Floats, transitions: Floats | None) -> JumpMarkovModel:
     """A model again."""
-    if transitions is None:
-        return JumpMarkovModel(modes, rates)
-    return JumpMarkovModel(modes, transitions=transitions)
+    return JumpMarkovModel(modes, rates if transitions is None else None, transitions=transitions)
 
 
 @lru_cache(maxsize=256)

@@ -180,13 +180,10 @@ def each_input(names: Iterable[str], record: InputRecord | None, count: int) -> 
         return [dict(zip(record, row, strict=True)) for row in rows.tolist()]
     what = f"a row for each time, a column for each input ({', '.join(names) or 'the model has none'})"
     known: Any = record
-    given = [[value] for value in known] if _is_column(known) else known
+    column = isinstance(known, Sequence | np.ndarray) and all(np.ndim(value) == 0 for value in known)
+    given = [[value] for value in known] if column else known
     rows = validate.array("inputs", given, (count, len(names)), what)
     return [dict(zip(names, row, strict=True)) for row in rows.tolist()]
-
-
-def _is_column(record: Any) -> bool:
-    return isinstance(record, Sequence | np.ndarray) and all(np.ndim(value) == 0 for value in record)
 
 
 def driven(sensor: Any, inputs: Mapping[str, float]) -> Any:

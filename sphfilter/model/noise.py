@@ -40,20 +40,16 @@ def noise_parts(
     vectorized: bool,
 ) -> NoiseParts:
     """Return makers of g, D and ∇·D, then Q, the constants that end p, and the flags of the noise."""
+    check_noise(noise, spectral_density, diffusion)
     if diffusion is not None:
-        if noise is not None or spectral_density is not None:
-            raise ModelError("Give either noise= with spectral_density=, or diffusion=, not both.")
         if callable(diffusion):
             return _diffusion_function(diffusion, n, data, vectorized)
         noise = constant_root(validate.covariance("diffusion", diffusion, n, definite=False))
     if callable(noise):
         return _noise_function(noise, spectral_density, n, data, vectorized)
-    if noise is None and spectral_density is not None:
-        raise ModelError("spectral_density= is given without noise=; give noise= of shape (n, m) too.")
     what = f"a row for each of dim = {n} states, a column for each noise"
     g = np.zeros((n, 1)) if noise is None else validate.array("noise", noise, (n, None), what)
-    m = g.shape[1]
-    Q = np.eye(m) if spectral_density is None else _spectral_density(spectral_density, m)
+    Q = density_of_noises(spectral_density, g.shape[1])
     makers = {
         "noise": lambda fs: shared(derived.constant_noise),
         "diffusion": lambda fs: shared(derived.constant_diffusion),
@@ -68,7 +64,7 @@ def _noise_function(
 ) -> NoiseParts:
     if spectral_density is None:
         raise ModelError("noise= is a function: give spectral_density= of shape (m, m) too, it tells m.")
-    Q = _spectral_density(spectral_density, None)
+    Q = validate.covariance("spectral_density", spectral_density, definite=False)
     g = compile_rows(noise, (n, len(Q)), "noise", n, data, vectorized)
     makers = {"noise": lambda fs: g, "diffusion": lambda fs: derived.diffusion_from_noise(g, Q)}
     return _with_divergence(makers, noise, "noise", Q, data)
@@ -106,8 +102,17 @@ def structure(state_dependent: bool, time_dependent: bool) -> dict[str, Any]:
     }
 
 
-def _spectral_density(value: ArrayLike, m: int | None) -> Floats:
-    return validate.covariance("spectral_density", value, m, definite=False)
+def check_noise(noise: Any, spectral_density: Any, diffusion: Any) -> None:
+    """Raise `ModelError` where the noise is given in two ways, or half of one."""
+    if diffusion is not None and (noise is not None or spectral_density is not None):
+        raise ModelError("Give either noise= with spectral_density=, or diffusion=, not both.")
+    if diffusion is None and noise is None and spectral_density is not None:
+        raise ModelError("spectral_density= is given without noise=; give noise= of shape (n, m) too.")
+
+
+def density_of_noises(Q: ArrayLike | None, m: int) -> Floats:
+    """Spectral density of m noises, checked; the identity if none is given."""
+    return np.eye(m) if Q is None else validate.covariance("spectral_density", Q, m, definite=False)
 
 
 def constant_root(D: Floats) -> Floats:

@@ -241,7 +241,7 @@ class SDE(Dynamics):
         self._flags, self.spectral_density, self.n_columns = flags, Q, constant_root(0.5 * Q).shape[1]
         Q.setflags(write=False)
         flags["linear"] = flags["linear"] and not self.domain.walled.any()
-        self._functions = _Functions(makers, self.dim, Q, flags["state_dependent_noise"])
+        self._functions = _functions(makers, self.dim, Q, flags["state_dependent_noise"])
         self._longest = np.inf if max_step is None else validate.positive("max_step", max_step)
         self.events = np.unique(validate.array("events", events, (None,)))
         self.events.setflags(write=False)
@@ -272,13 +272,10 @@ class SDE(Dynamics):
 
     def breaks(self, t0: float, t1: float) -> Floats:
         """Return the times in [t0, t1] at which the model jumps by itself, sorted: events, jumps of text."""
-        own: list[float] = []
-        switches = self._flags.get("switches") or self._flags.get("tabled")
-        if not switches and not self.events.size:
-            return self.events
-        if switches:
-            own = roots(self._conditions, t0, t1, self.max_step)
-        return np.unique([*self.events[(self.events >= t0) & (self.events <= t1)], *own])
+        inside = self.events[(self.events >= t0) & (self.events <= t1)]
+        if not (self._flags.get("switches") or self._flags.get("tabled")):
+            return inside
+        return np.unique([*inside, *roots(self._conditions, t0, t1, self.max_step)])
 
     def _conditions(self, t: float) -> Floats:
         """Numbers of t that are zero where text switches, or comes to an argument of a table."""
@@ -421,25 +418,21 @@ class LinearSDE(SDE):
         return transition(self.A, self.b, g @ self.spectral_density @ g.T, dt)
 
 
-class _Functions(Functions):
+def _functions(makers: dict[str, Maker], n: int, Q: Floats, by_state: bool) -> Functions:
     """Compiled functions of an equation, of which those of the `makers` are given."""
-
-    def __init__(self, makers: dict[str, Maker], n: int, Q: Floats, by_state: bool) -> None:
-        self._by_state = by_state
-        derive: dict[str, Maker] = {
-            "jacobian": lambda fs: derived.jacobian_from(fs["drift"], n),
-            "divergence": lambda fs: derived.trace_from(fs["jacobian"]),
-            "flow_drift": lambda fs: derived.stratonovich_drift(fs["drift"], fs["noise"], -Q),
-            "flow_jacobian": lambda fs: derived.jacobian_from(fs["flow_drift"], n),
-            "flow_divergence": lambda fs: derived.trace_from(fs["flow_jacobian"]),
-            "diffusion_curvature": lambda fs: derived.trace_from(
-                derived.jacobian_from(fs["diffusion_divergence"], n)
-            ),
-            "noise_columns": lambda fs: derived.noise_columns(fs["noise"], constant_root(0.5 * Q)),
-        }
-        super().__init__(derive | makers)
-
-    def __missing__(self, name: str) -> BatchFunction:
-        plain = name if self._by_state else name.removeprefix("flow_")  # then Stratonovich's drift is Itô's
-        self[name] = self[plain] if plain != name else super().__missing__(name)
-        return self[name]
+    derive: dict[str, Maker] = {
+        "jacobian": lambda fs: derived.jacobian_from(fs["drift"], n),
+        "divergence": lambda fs: derived.trace_from(fs["jacobian"]),
+        "flow_drift": lambda fs: derived.stratonovich_drift(fs["drift"], fs["noise"], -Q),
+        "flow_jacobian": lambda fs: derived.jacobian_from(fs["flow_drift"], n),
+        "flow_divergence": lambda fs: derived.trace_from(fs["flow_jacobian"]),
+        "diffusion_curvature": lambda fs: derived.trace_from(
+            derived.jacobian_from(fs["diffusion_divergence"], n)
+        ),
+        "noise_columns": lambda fs: derived.noise_columns(fs["noise"], constant_root(0.5 * Q)),
+    }
+    if not by_state:  # then Stratonovich's drift is Itô's
+        derive["flow_drift"] = lambda fs: fs["drift"]
+        derive["flow_jacobian"] = lambda fs: fs["jacobian"]
+        derive["flow_divergence"] = lambda fs: fs["divergence"]
+    return Functions(derive | makers)

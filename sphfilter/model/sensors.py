@@ -68,7 +68,7 @@ class Sensors(PlainSensor, Adjustable, Mapping[str, Any]):
                 f'Sensors needs at least one sensor by its name, such as {{"gps": gps}}, got '
                 f"{validate.short(sensors)}"
             )
-        self._parts = dict(sensors)
+        self._parts, self._rows, self.dim_z = dict(sensors), dict[str, slice](), 0
         for name, sensor in self._parts.items():
             if not isinstance(name, str) or not name:
                 raise ModelError(f"names of sensors are texts, got {name!r}")
@@ -78,13 +78,8 @@ class Sensors(PlainSensor, Adjustable, Mapping[str, Any]):
                     f"sensor {name!r} must be a GaussianMeasurement, or a LikelihoodMeasurement with dim_z=; "
                     f"got {validate.short(sensor)}"
                 )
-        sizes = np.array([sensor.dim_z for sensor in self._parts.values()])
-        ends = np.cumsum(sizes)
-        self._rows = {
-            name: slice(int(end - size), int(end))
-            for name, size, end in zip(self._parts, sizes, ends, strict=True)
-        }
-        self.dim_z: int = int(ends[-1])
+            begin, self.dim_z = self.dim_z, self.dim_z + int(sensor.dim_z)
+            self._rows[name] = slice(begin, self.dim_z)
         own = [*self._parts.values()]
         self._check_widths()
         covs, Hs = [s.noise_cov for s in own], [s.H for s in own]

@@ -1,6 +1,6 @@
 """From the texts of a model to its batch functions and structure flags, with symbolic derivatives."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ from .compile import Maker, batch_source, shared
 from .expressions import Names, parse
 from .kept import kept
 from .named import Values
-from .noise import constant_root
+from .noise import check_noise, constant_root, density_of_noises
 from .symbols import Abs, Ge, Gt, Linear, Max, Min, Previous, Sign, source
 from .tables import Table, Tables, tables_of
 
@@ -71,24 +71,25 @@ def symbolic_model(
     f = sp.Matrix([parse(text, names, f"drift[{i}]") for i, text in enumerate(drift)])
     g, D, Q = _noise(noise, diffusion, spectral_density, names, n)
     words.check_used(names)
-    if interpretation == "stratonovich":
-        f = f + _stratonovich_term(f, g, D, Q, names)
     noisy = bool((D if g is None else g).free_symbols & set(names.x))
+    if interpretation == "stratonovich" and noisy:
+        if g is None:
+            raise ModelError("A Stratonovich equation needs noise= instead of diffusion=.")
+        f = f + _stratonovich_term(g, Q, names)
     J = f.jacobian(names.x)
     entries = {
         "drift": f,
         "jacobian": J,
         "divergence": sp.Matrix([J.trace()]),
         "diffusion": D,
-        "diffusion_divergence": sp.Matrix(
-            [sum(v.diff(x) for v, x in zip(row, names.x, strict=True)) for row in D.tolist()]
-        ),
+        "diffusion_divergence": sp.Matrix([_divergence(row, names) for row in D.tolist()]),
     }
     if g is not None:
         entries["noise"] = g
-    root = g if g is not None else _diagonal_root(D)
+    # g with g gᵀ = 2 D, one column per state, where each state has noise of its own
+    root = D.applyfunc(lambda v: sp.sqrt(2 * v)) if g is None and D.is_diagonal() else g
     if root is not None and noisy:
-        entries |= _flow(f, root, D, Q, names)
+        entries |= _flow(f, root, Q, names)
     makers = {name: _maker(name, matrix, names) for name, matrix in entries.items()}
     if g is None:
         makers["noise"] = lambda fs: derived.noise_from_diffusion(fs["diffusion"])
@@ -164,24 +165,22 @@ def _noise(
     noise: Any, diffusion: Any, spectral_density: ArrayLike | None, names: Names, n: int
 ) -> tuple[Any, sp.Matrix, Floats]:
     """Return g (None when D is given), D and Q."""
+    check_noise(noise, spectral_density, diffusion)
     if diffusion is not None:
-        if noise is not None or spectral_density is not None:
-            raise ModelError("Give either noise= with spectral_density=, or diffusion=, not both.")
         D = _matrix(diffusion, names, "diffusion", n)
         if D.shape != (n, n) or any(sp.expand(v) != 0 for v in D - D.T):
             raise ModelError(f"diffusion must be a symmetric {n} × {n} matrix of expressions.")
         if all(v.is_number for v in D):
             validate.covariance("diffusion", np.array(D.tolist(), dtype=float), n, definite=False)
         return None, D, np.eye(n)
-    if noise is None and spectral_density is not None:
-        raise ModelError("spectral_density= is given without noise=; give noise= of shape (n, m) too.")
     g = sp.zeros(n, 1) if noise is None else _matrix(noise, names, "noise", n)
-    m = g.shape[1]
-    Q = np.eye(m)
-    if spectral_density is not None:
-        Q = validate.covariance("spectral_density", spectral_density, m, definite=False)
-    q = sp.Matrix(m, m, [parse(v, names) for v in Q.ravel().tolist()])
-    return g, g * q * g.T * sp.Rational(1, 2), Q
+    Q = density_of_noises(spectral_density, g.shape[1])
+    return g, g * _numbers(Q, names) * g.T * sp.Rational(1, 2), Q
+
+
+def _numbers(M: Floats, names: Names) -> sp.Matrix:
+    """A matrix of numbers; small whole ones are exact."""
+    return sp.Matrix(*M.shape, [parse(v, names) for v in M.ravel().tolist()])
 
 
 def _matrix(rows: Any, names: Names, what: str, n: int) -> sp.Matrix:
@@ -194,15 +193,10 @@ def _matrix(rows: Any, names: Names, what: str, n: int) -> sp.Matrix:
     return sp.Matrix(n, len(rows[0]), flat)
 
 
-def _stratonovich_term(f: sp.Matrix, g: Any, D: sp.Matrix, Q: Floats, names: Names) -> sp.Matrix:
+def _stratonovich_term(g: sp.Matrix, Q: Floats, names: Names) -> sp.Matrix:
     """Return ½ Σ_jkl g_jk Q_kl ∂_j g_il (002 (4), erratum)."""
-    n, m = len(f), len(Q)
-    if g is None:
-        if D.free_symbols & set(names.x):
-            raise ModelError("A Stratonovich equation needs noise= instead of diffusion=.")
-        return sp.zeros(n, 1)
-    q = sp.Matrix(m, m, [parse(v, names) for v in Q.ravel().tolist()])
-    gq = g * q * sp.Rational(1, 2)
+    n, m = g.shape
+    gq = g * _numbers(Q, names) * sp.Rational(1, 2)
     return sp.Matrix(
         [
             sum(gq[j, r] * g[i, r].diff(names.x[j]) for j in range(n) for r in range(m))
@@ -211,21 +205,16 @@ def _stratonovich_term(f: sp.Matrix, g: Any, D: sp.Matrix, Q: Floats, names: Nam
     )  # fmt: skip
 
 
-def _diagonal_root(D: sp.Matrix) -> sp.Matrix | None:
-    """Return g with g gᵀ = 2 D, one column per state, where each state has noise of its own."""
-    return D.applyfunc(lambda v: sp.sqrt(2 * v)) if D.is_diagonal() else None
-
-
-def _flow(f: sp.Matrix, g: sp.Matrix, D: sp.Matrix, Q: Floats, names: Names) -> dict[str, sp.Matrix]:
+def _flow(f: sp.Matrix, g: sp.Matrix, Q: Floats, names: Names) -> dict[str, sp.Matrix]:
     """Entries of the Stratonovich equation: its drift, the divergence of that, and noise with its own."""
-    flow, R = f - _stratonovich_term(f, g, D, Q, names), constant_root(0.5 * Q)
-    c = g * sp.Matrix(*R.shape, [parse(v, names) for v in R.ravel().tolist()])
+    flow = f - _stratonovich_term(g, Q, names)
+    c = g * _numbers(constant_root(0.5 * Q), names)
     columns = c.col_join(sp.Matrix([[_divergence(c.col(k), names) for k in range(c.shape[1])]]))
     divergence = sp.Matrix([_divergence(flow, names)])
     return {"flow_drift": flow, "flow_divergence": divergence, "noise_columns": columns}
 
 
-def _divergence(v: sp.Matrix, names: Names) -> sp.Expr:
+def _divergence(v: Iterable[sp.Expr], names: Names) -> sp.Expr:
     return sum(entry.diff(x) for entry, x in zip(v, names.x, strict=True))
 
 

@@ -75,8 +75,8 @@ class Table:
             raise ModelError(f"cannot read {path}: {problem}") from problem
         if not rows:
             raise ModelError(f"{path} is empty; a header and two columns are needed")
-        header = [name.strip() for name in rows[0]] if rows else []
-        at = header[0] if at is None and header else at
+        header = [name.strip() for name in rows[0]]
+        at = header[0] if at is None else at
         for name in (at, values):
             if name not in header:
                 raise ModelError(

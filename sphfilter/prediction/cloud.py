@@ -228,7 +228,12 @@ def _steps(
     steps, bias, lost = chosen_steps(points, model, span, *about)
     if lost > 2.0 * MOST_LOST:  # of a few: all need not be asked, each of which takes long
         raise PropagationError(_blow_up(model, points, *span))
-    _enough(steps.number, most, span)
+    if steps.number > most:
+        raise StoppedError(
+            f"prediction from {span[0]:g} to {span[1]:g} stopped: {most} steps were not enough for a cloud; "
+            f"the drift is stiff. Allow more with scheme=CloudScheme(max_steps=...), or predict over a "
+            f"shorter interval"
+        )
     next_step = step_after(dt * shorter, steps.number, over_allowed(bias, allowed, model.dim))
     few = steps._replace(number=steps_of_shadow(steps.number, steps.stiff, least))
     return steps, few, Pace(next_step, steps.stiff, legs, Bias(*np.add(had, bias).tolist()))
@@ -242,16 +247,6 @@ def least_steps(model: Dynamics, x: Floats, span: tuple[float, float]) -> int:
     assert isinstance(model, SDE)
     least = math.ceil(dt / model.max_step) if model.max_step < math.inf else 1
     return max(least, slices_at(model, x, *span))
-
-
-def _enough(steps: int, most: int, span: tuple[float, float]) -> int:
-    if steps > most:
-        raise StoppedError(
-            f"prediction from {span[0]:g} to {span[1]:g} stopped: {most} steps were not enough for a cloud; "
-            f"the drift is stiff. Allow more with scheme=CloudScheme(max_steps=...), or predict over a "
-            f"shorter interval"
-        )
-    return steps
 
 
 def without_runaways(points: Points, domain: Domain | None) -> tuple[Points, float]:

@@ -1,8 +1,8 @@
 """The log-density scheme: from lattice to lattice along backward stochastic characteristics."""
 
 import math
+from functools import lru_cache
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -83,8 +83,6 @@ _LEASTS = 1e-7, 3e-4  # its bounds; measured: with half one of nine lattices end
 #: Particles times paths from which threads pay; by these numbers alone, so that the thread count never
 #: changes a bit of the result.
 _THREADS_FROM = 20_000
-#: What `_noise_factor` returns, by model, where it never changes.
-_CONSTANT: WeakKeyDictionary[SDE, tuple[Floats, int]] = WeakKeyDictionary()
 
 
 def why_not(model: SDE, density: ParticleDensity, n_particles: int) -> str:
@@ -200,7 +198,8 @@ def _depth(density: ParticleDensity, scheme: LogDensityScheme) -> float:
 def noise_between(model: SDE, t0: float, t1: float, around: Floats) -> tuple[Noise, int]:
     """The noise from t0 to t1, and steps that see it change around a state (n,)."""
     if not model.state_dependent_noise:
-        G, slices = _noise_factor(model, t0, t1)
+        found = _constant_noise_factor(model) if model.constant_diffusion else _noise_factor(model, t0, t1)
+        G, slices = found
         noise = Noise(G, model.p, not model.constant_diffusion, model.linear, along=address_of(ALONG))
         return noise, slices
     slices = 1 if model.autonomous else noise_samples(model, t0, t1, around)[1]
@@ -314,14 +313,6 @@ _REASONS: dict[str, tuple[type[PropagationError], str]] = {
 
 def _noise_factor(model: SDE, t0: float, t1: float) -> tuple[Floats, int]:
     """G (n, m) with D = G Gᵀ / 2, as many columns as D ever has rank, and steps that see D change."""
-    if not model.constant_diffusion:
-        return _found_noise_factor(model, t0, t1)
-    if model not in _CONSTANT:
-        _CONSTANT[model] = _found_noise_factor(model, t0, t1)
-    return _CONSTANT[model]
-
-
-def _found_noise_factor(model: SDE, t0: float, t1: float) -> tuple[Floats, int]:
     D, slices = noise_samples(model, t0, t1)
     d = scales(np.abs(D).max(axis=0))
     w, V = np.linalg.eigh(D / np.outer(d, d))
@@ -329,6 +320,12 @@ def _found_noise_factor(model: SDE, t0: float, t1: float) -> tuple[Floats, int]:
     middle = len(D) // 2
     G = (d[:, None] * V[middle] * np.sqrt(2.0 * np.maximum(w[middle], 0.0)))[:, ::-1][:, :rank]
     return np.ascontiguousarray(G), slices
+
+
+@lru_cache(maxsize=64)
+def _constant_noise_factor(model: SDE) -> tuple[Floats, int]:
+    """As `_noise_factor`, where D never changes."""
+    return _noise_factor(model, 0.0, 1.0)
 
 
 def _fastest(model: SDE, x: Floats, t: float) -> Floats:

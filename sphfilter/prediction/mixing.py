@@ -34,7 +34,6 @@ from ..lattice.level_set import lattice_depth, lay, min_nodes, root_of
 from ..lattice.resolved import MOST
 from .ladder import first_degree, prefers_cloud
 
-_MOMENTS = ParticleDensity.mean, ParticleDensity.cov
 #: Gaussians of a sum, and tries of letting it change four times more until it has no more: 4⁵ = 1,024.
 _MOST_PIECES, _COARSER = 200, 5
 _TRIES = 6  # lattices, each of twice the nodes of the one before: up to 2⁵ = 32 times the first
@@ -106,7 +105,9 @@ def _same(one: ParticleDensity, other: ParticleDensity) -> bool:
 def _heavy(parts: list[Part], allowed: float) -> tuple[list[Part], float]:
     """The parts but for the lightest, and the probability of those."""
     w = np.exp([part.log_w for part in parts])
-    means, covs = (np.array([f(part.density) for part in parts]) for f in _MOMENTS)
+    means, covs = (
+        np.array([f(p.density) for p in parts]) for f in (ParticleDensity.mean, ParticleDensity.cov)
+    )
     heavy = ~light(w, means, covs, LITTLE * allowed, FAR)
     scale = math.log(w[heavy].sum())
     left = [part._replace(log_w=part.log_w - scale) for part, kept in zip(parts, heavy, strict=True) if kept]
@@ -212,7 +213,8 @@ def _log_sum(parts: Sequence[Part]) -> OfStates:
 def _on_lattice(parts: Sequence[Part], about: ParticleDensity, allowed: float) -> ParticleDensity:
     """The logarithm of the sum on a lattice, of as many nodes as the error asks for."""
     log_p, (mean, cov), n = _log_sum(parts), _moments(parts), about.dim
-    x, mass = (np.concatenate(rows) for rows in zip(*_nodes(parts), strict=True))
+    x = np.concatenate([p.density.x + turn for p, turn in zip(parts, _turned(parts), strict=True)])
+    mass = np.concatenate([math.exp(part.log_w) * part.density.mass for part in parts])
     seeds = x[mass > _SEEDS * mass.max()]
     if about.needs is None:
         nodes = max(part.density.capacity or part.density.n_particles for part in parts)
@@ -237,25 +239,10 @@ def _on_lattice(parts: Sequence[Part], about: ParticleDensity, allowed: float) -
     new = ParticleDensity.on_lattice(laid, about.t, nodes, False, about.domain, **known)
     if about.needs is None:
         return new
-    return _settled(new.noted(needs=about.needs._replace(nodes=nodes)), allowed)
-
-
-def _settled(density: ParticleDensity, allowed: float) -> ParticleDensity:
-    """A density on a lattice as one family, if one holds it and none was refused just now."""
-    needs = density.needs
-    if needs is None or needs.waits > 0:
-        return density
-    one = as_polynomials(density, first_degree(density.dim, needs), allowed)
-    return density if one is None else one.noted(needs=needs)
-
-
-def _nodes(parts: Sequence[Part]) -> list[tuple[Floats, Floats]]:
-    """States that stand for each part, and their weights."""
-    shifts = _turned(parts)
-    return [
-        (p.density.x + turn, math.exp(p.log_w) * p.density.mass)
-        for p, turn in zip(parts, shifts, strict=True)
-    ]
+    needs = about.needs._replace(nodes=nodes)
+    # as one family, if one holds it and none was refused just now
+    one = None if needs.waits > 0 else as_polynomials(new, first_degree(n, needs), allowed)
+    return (new if one is None else one).noted(needs=needs)
 
 
 def _as_cloud(parts: Sequence[Part], about: ParticleDensity, target: float) -> ParticleDensity:
