@@ -39,7 +39,6 @@ from ..prediction.cloud import least_steps, without_runaways
 #: A region of states X (M, n): booleans (M,), or numbers that are positive inside.
 Event: TypeAlias = Callable[[Floats], ArrayLike]
 
-_FALL = math.sqrt(2.0)  # of what looks miss, which goes as the root of the time between them, or faster
 _MOST_LOOKS = 2**11  # measured: of Brownian motion and booleans .55 is then .005 off, in two seconds
 
 
@@ -69,8 +68,8 @@ def passed(
         # what is told whatever the looks: of so few points, and of the density
         known = np.sqrt(np.mean(np.square(apart), axis=0) + density.error**2 / (2.0 * math.pi))
         changed, of_looks = of_looks, np.abs(best - before)
-        # where changes do not fall yet by as much as they will at least, they do not tell what is left
-        settled = (of_looks < np.fmax(np.minimum(known, changed / _FALL), STATES**-0.6)).all()
+        # changes fall by √2 at least (see `_limit`): until they do, they do not tell what is left
+        settled = (of_looks < np.fmax(np.minimum(known, changed / math.sqrt(2.0)), STATES**-0.6)).all()
         much = len(found) > 1 and 2 * looks * len(times) > _MOST_LOOKS
         if much or settled or isinstance(models[0], DiscreteModel):
             break
@@ -87,7 +86,7 @@ def _limit(found: Sequence[Floats]) -> Floats:
     if len(found) < 3:
         return found[-1]
     before, after = found[-2] - found[-3], found[-1] - found[-2]
-    rate = np.clip(np.sum(before * after) / max(np.sum(after * after), TINY), _FALL, 4.0)
+    rate = np.clip(np.sum(before * after) / max(np.sum(after * after), TINY), math.sqrt(2.0), 4.0)
     return np.asarray(found[-1] + after / (rate - 1.0))
 
 
