@@ -1,7 +1,6 @@
 """Measurement models: what a sensor reads in a state, and how likely a reading is."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from typing import Any, NamedTuple, Protocol, TypeGuard
 
 import numpy as np
@@ -400,7 +399,7 @@ class GaussianMeasurement(PlainSensor, Adjustable):
         return new
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return partial(self._made, **self._recipe | self._values._asdict()), ()
+        return _rebuild, (self._made, self._recipe | self._values._asdict())
 
     def __repr__(self) -> str:
         h = _shown(self._recipe["h"])
@@ -543,6 +542,10 @@ def direct_states(H: Floats | None, R: Floats | None, angles: Sequence[int]) -> 
     if len(set(columns)) < len(H) or np.count_nonzero(R - np.diag(np.diag(R))):
         return None
     return columns, H[np.arange(len(H)), columns]
+
+
+def _rebuild(made: Callable[..., GaussianMeasurement], recipe: dict[str, Any]) -> GaussianMeasurement:
+    return made(**recipe)
 
 
 def _listed(angles: Iterable[int]) -> list[int]:
