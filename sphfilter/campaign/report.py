@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._types import Bools, Floats
+from .._types import Bools
 from ..consistency import p_values
 from ..errors import ModelError, nearest
 from ..filter.results import FilterResult
@@ -192,30 +192,21 @@ def report(
         if truth is not None:
             raise ModelError("a campaign carries its truth: leave truth= out")
         c = campaign_or_result
-        came: Bools = np.any(np.isfinite(np.reshape(c.z, (*c.truth.shape[:2], -1))), axis=2)
-        filters = {name: filter_report(r, c.truth, c.run_time[name], came) for name, r in c.results.items()}
-        return _report(c.scenario, c.truth, filters, referee, labels)
-    if truth is None:
-        raise ModelError("report of a filter's result needs truth=, shape (T, n)")
-    result: Any = campaign_or_result
-    truth = np.asarray(truth, dtype=float)
-    if truth.shape != np.shape(result.x):
-        raise ModelError(f"truth has shape {truth.shape}, but the means have {np.shape(result.x)}")
-    if truth.ndim == 2:
-        truth = truth[None]
-        result = FilterResult(result.t, *(np.asarray(getattr(result, name))[None] for name in _HISTORIES))
-    filters = {"filter": filter_report(result, truth, np.full(len(truth), np.nan))}
-    return _report("", truth, filters, referee, labels)
-
-
-def _report(
-    scenario: str,
-    truth: Floats,
-    filters: dict[str, FilterReport],
-    referee: str | None,
-    labels: Sequence[str] | None,
-) -> Report:
-    n_runs, n_epochs, dim = truth.shape
+        scenario, true = c.scenario, c.truth
+        came: Bools = np.any(np.isfinite(np.reshape(c.z, (*true.shape[:2], -1))), axis=2)
+        filters = {name: filter_report(r, true, c.run_time[name], came) for name, r in c.results.items()}
+    else:
+        if truth is None:
+            raise ModelError("report of a filter's result needs truth=, shape (T, n)")
+        result: Any = campaign_or_result
+        scenario, true = "", np.asarray(truth, dtype=float)
+        if true.shape != np.shape(result.x):
+            raise ModelError(f"truth has shape {true.shape}, but the means have {np.shape(result.x)}")
+        if true.ndim == 2:
+            true = true[None]
+            result = FilterResult(result.t, *(np.asarray(getattr(result, name))[None] for name in _HISTORIES))
+        filters = {"filter": filter_report(result, true, np.full(len(true), np.nan))}
+    n_runs, n_epochs, dim = true.shape
     given = () if labels is None else tuple(labels)
     labels = given or [f"state {d + 1}" for d in range(dim)]
     if len(labels) != dim:

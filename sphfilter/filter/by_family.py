@@ -45,7 +45,7 @@ _WIDER, _WIDER_OF_CUBICS = 1.1, 1.05
 
 
 def by_family(
-    density: ParticleDensity, asked: ReadingAtPrior, degree: int, n_particles: int, most: float = math.inf
+    density: ParticleDensity, asked: ReadingAtPrior, n_particles: int, degree: int, most: float = math.inf
 ) -> tuple[Posterior, float]:
     """Posterior and what is said of it, and the error in standard deviations that it adds to the prior's.
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from scipy.special import logsumexp
@@ -81,10 +82,8 @@ def _on_family(
     if own == 0 or density.walls[0].size:
         return None
 
-    def updated(degree: int, most: float) -> tuple[Posterior, float]:
-        return by_family(density, asked, degree, density.capacity or 0, most)
-
     first = max(first_degree(density.dim, needs), 0 if density.gaussian else own)
+    updated = partial(by_family, density, asked, density.capacity or 0)
     best = best_family(density.dim, error_budget(density.error, target), first, updated)
     if best is None:
         return None

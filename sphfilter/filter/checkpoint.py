@@ -172,15 +172,10 @@ def _stored_modes(modes: ModeDensities) -> Arrays:
 def _modes_from(arrays: Arrays) -> ModeDensities:
     log_w = arrays["log_w"]
     each = [part(str(i), arrays) for i in range(len(log_w))]
-    ripples = [
-        _ripple_from(part(f"ripple {i}", arrays)) for i in range(len(log_w)) if f"ripple {i}.X" in arrays
-    ]
+    ripples = []
+    for ripple in (part(f"ripple {i}", arrays) for i in range(len(log_w))):
+        if ripple:  # files of before tell no mass, nor whether it is exact
+            mass, exact = ripple.get("mass", min(ripple["off"].sum(), 1.0)), ripple.get("exact", True)
+            ripples.append(SplittingError(ripple["X"], ripple["off"], float(mass), bool(exact)))
     densities = [density_from(some) if some else None for some in each]
     return ModeDensities(log_w, densities, arrays["splitting"], ripples or None, arrays.get("unsure"))
-
-
-def _ripple_from(arrays: Arrays) -> SplittingError:
-    X, off = arrays["X"], arrays["off"]
-    return SplittingError(
-        X, off, float(arrays.get("mass", min(off.sum(), 1.0))), bool(arrays.get("exact", True))
-    )

@@ -215,7 +215,7 @@ def run_filter(
     readings = rows_of(getattr(filt, "measurement", None), measurements)
     known = getattr(getattr(filt, "measurement", None), "dim_z", None)
     k = max((np.size(z) for z in readings if z is not None), default=known or 1)
-    looks = observer is not None and hasattr(filt, "spread")
+    looker = observer if hasattr(filt, "spread") else None
     rows: list[dict[str, Any]] = []
     alone = inputs is None and observer is None and each is None
     glide = filt._glide() if alone and hasattr(filt, "_glide") else None
@@ -224,17 +224,15 @@ def run_filter(
             rows += glide.through(times[len(rows) :], readings[len(rows) :])
         if (epoch := len(rows)) == len(times):
             break
-        rows.append(
-            _epoch(filt, times[epoch], readings[epoch], driving[epoch], k, epoch, observer if looks else None)
-        )
+        rows.append(_epoch(filt, times[epoch], readings[epoch], driving[epoch], k, epoch, looker))
         if each is not None:
             each(filt)
-    kept = {name: shape for name, shape in shapes(n, k).items() if looks or name not in RANKS}
+    kept = {name: shape for name, shape in shapes(n, k).items() if looker is not None or name not in RANKS}
     columns = {
         name: np.array([row[name] for row in rows], bool if name in TRUTHS else float).reshape(-1, *shape)
         for name, shape in kept.items()
     }
-    if observer is not None and not looks:
+    if observer is not None and looker is None:
         moments = (columns[name] for name in ("x", "P", "innovation", "innovation_cov"))
         columns |= gaussian_ranks(observer.truth, *moments)
     return FilterResult(t=times, **columns)

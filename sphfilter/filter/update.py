@@ -83,7 +83,7 @@ def update(
         posterior, said = by_ladder(density, asked, target, config)
         said |= flagged_if_missed(said["code"], said["error"], target)
     elif isinstance(config.scheme, FamilyScheme):
-        (posterior, said), _ = by_family(density, asked, degree_of(config.scheme, density.dim), bound)
+        (posterior, said), _ = by_family(density, asked, bound, degree_of(config.scheme, density.dim))
     else:
         regrids = isinstance(config.scheme, PaperScheme) or config.acceptance.enabled
         as_cloud = density.form.own_points or isinstance(config.scheme, CloudScheme)

@@ -96,14 +96,12 @@ def update_or_predict_again(
     """
     before, lost = prediction.before, prediction.lost
     posterior, info = update(prior, measurement, z, config, n_particles=n_particles)
-    bound = max_particles_of(prior, n_particles)
+    bound, asked = max_particles_of(prior, n_particles), _Asked(prediction, measurement, z, config)
     if posterior.form.own_points:
-        once = prior, posterior, info
-        return Outcome(*_on_more_points(prediction, once, measurement, z, config), bound)
-    posterior, info = _used_together(prediction, (posterior, info), (measurement, z), config, n_particles)
+        return Outcome(*asked.on_more_points((prior, posterior, info)), bound)
+    posterior, info = asked.used_together((posterior, info), n_particles)
     if before is not None and may_miss(prior):
-        once = prior, posterior, info
-        return Outcome(*_without_family(prediction, once, measurement, z, config), bound)
+        return Outcome(*asked.without_family((prior, posterior, info)), bound)
     known = prior.gaussian or info.extrapolated < SAID
     if known or prediction.readings or before is None or before.form.cell is None:
         return Outcome(prior, posterior, info, bound)
@@ -130,126 +128,118 @@ def update_or_predict_again(
     return Outcome(prior, posterior, info, bound)
 
 
-def _used_together(
-    prediction: Prediction,
-    once: tuple[ParticleDensity, UpdateInfo],
-    reading: tuple[Any, Any],
-    config: FilterConfig,
-    n_particles: Any,
-) -> tuple[ParticleDensity, UpdateInfo]:
-    """The posterior of all readings of one time at once, and what is said of the last; or as they were used.
+class _Asked(NamedTuple):
+    """A reading, and the prediction before it, which both may be made again."""
 
-    A lattice ends where little is left of a density by one reading. Of that the next may make much more.
-    """
-    (posterior, info), prior, before = once, prediction.prior, prediction.log_evidence
-    ends = info.accepted and info.mass_left_out > 0.0  # of other densities nothing is left out
-    readings = (*prediction.readings, reading)
-    few = len(readings) <= LOOK  # else each more costs more
-    if prior is None or posterior.gaussian or prior.domain is not None or not (ends and few):
-        return once
-    if posterior.left_out is None:  # nodes of the prior know of nothing: points that are drawn may
-        x, mass = prior.form.drawn(32 * LOOK, stored_key(age_of(prior), len(readings)))
-        log_l = sum(sensor.log_likelihood(z, x, prior.t) for sensor, z in readings)
-        log_l = log_l - before - info.log_evidence
-        mass = mass * np.exp(np.minimum(log_l, LARGEST_EXPONENT))
-        posterior = posterior.noted(left_out=LeftOut.of(posterior, x, mass, prior.logpdf(x) + log_l))
-        once = posterior, told_of(info, lacking(posterior))
-    far = lacking(posterior)
-    if far.mean <= MISSED * config.target_error and far.variance <= 0.5 * WRONG:
-        return once
-    try:
-        sensors = Sensors({str(k): sensor for k, (sensor, _) in enumerate(readings)})
-        z = np.concatenate([Reading.of(numbers).z for _, numbers in readings])
-        posterior, said = update(prior, sensors, z, config, n_particles=n_particles)
-    except (ModelError, PropagationError):
-        return once
-    if said.flagged and not once[1].flagged:
-        return once
-    said = replace(said, innovation=info.innovation, innovation_cov=info.innovation_cov, reason=info.reason)
-    return posterior, replace(said, log_evidence=said.log_evidence - before)
+    prediction: Prediction
+    measurement: Sensor
+    z: ArrayLike | None
+    config: FilterConfig
 
+    def used_together(
+        self, once: tuple[ParticleDensity, UpdateInfo], n_particles: Any
+    ) -> tuple[ParticleDensity, UpdateInfo]:
+        """The posterior of all readings of one time at once, and what the last says; or as they were used.
 
-def _without_family(
-    prediction: Prediction, once: Read, measurement: Sensor, z: ArrayLike | None, config: FilterConfig
-) -> Read:
-    """Predict and update again as something else, where a reading makes too much of a family's error."""
-    (prior, _, info), before = once, prediction.before
-    assert before is not None
-    target, known = target_of(prior, config, None), before.needs
-    if target is None or known is None or config.time_budget or not info.error > MISSED * target:
-        return once
-    start = before.noted(needs=known._replace(waits=max(known.waits, 1)))
-    try:
-        again = _again(prediction, start, measurement, z, config)
-    except PropagationError:
-        return once
-    return again if again[2].error < info.error else once
-
-
-def _again(
-    prediction: Prediction,
-    start: ParticleDensity,
-    measurement: Sensor,
-    z: ArrayLike | None,
-    config: FilterConfig,
-    target: float | None = None,
-) -> Read:
-    """Predict from a start, to another target if one is given, and update by the readings of that time."""
-    finer = config if target is None else replace(config, target_error=target)
-    if prediction.before is None:  # what was read before is in the prior, and nothing leads to that
-        return start, *update(start, measurement, z, config, n_particles="auto")
-    prior, log_evidence = prediction.from_density(start, finer, "auto"), 0.0
-    first = prior if prediction.readings else None
-    for sensor, numbers in prediction.readings:
-        prior, info = update(prior, sensor, numbers, config, n_particles="auto")
-        log_evidence += info.log_evidence
-    prediction = prediction._replace(prior=first, log_evidence=log_evidence)
-    once = update(prior, measurement, z, config, n_particles="auto")
-    return prior, *_used_together(prediction, once, (measurement, z), config, "auto")
-
-
-def _on_more_points(
-    prediction: Prediction, once: Read, measurement: Sensor, z: ArrayLike | None, config: FilterConfig
-) -> Read:
-    """Predict and update again where a reading finds too few points, or points that know no way to be led.
-
-    Readings of the same time are used once more; without a prediction, the prior itself is drawn anew.
-    """
-    (prior, posterior, info), best, before = once, once, prediction.before
-    start, finer = prior if before is None else before, True
-    target, known, as_it_was = target_of(prior, config, None), start.needs, bool(prior.form.own_points)
-    in_vain = start.error > EDGE or (before is None and as_it_was)  # it lies elsewhere, or is all there is
-    if target is None or known is None or config.time_budget or in_vain or info.reason == NOTHING_CAME:
-        return once
-    for tries in range(TRIES):
-        cloud = posterior.cloud
-        assert cloud is not None
-        led = before is None or as_it_was
-        error = _deciding(posterior, info, target, 0.0 if led else cloud.inherited.error)
-        if error > MISSED * target:
-            error = _added(prediction, prior, posterior, error, target)
-        more = points_for(cloud.size, error, target, prior.dim) if error > MISSED * target else 0
-        if more <= cloud.size and (tries > 0 or led):
-            break
-        if _evaluations(prediction, cloud) * more > _MOST_EVALUATIONS:
-            break
-        wanted = known._replace(points=more or known.points, waits=max(known.waits, 1))
+        A lattice ends where little is left of a density by one reading. Of that the next may make much more.
+        """
+        (posterior, info), prior, before = once, self.prediction.prior, self.prediction.log_evidence
+        ends = info.accepted and info.mass_left_out > 0.0  # of other densities nothing is left out
+        readings: Any = (*self.prediction.readings, (self.measurement, self.z))
+        few = len(readings) <= LOOK  # else each more costs more
+        if prior is None or posterior.gaussian or prior.domain is not None or not (ends and few):
+            return once
+        if posterior.left_out is None:  # nodes of the prior know of nothing: points that are drawn may
+            x, mass = prior.form.drawn(32 * LOOK, stored_key(age_of(prior), len(readings)))
+            log_l = sum(sensor.log_likelihood(z, x, prior.t) for sensor, z in readings)
+            log_l = log_l - before - info.log_evidence
+            mass = mass * np.exp(np.minimum(log_l, LARGEST_EXPONENT))
+            posterior = posterior.noted(left_out=LeftOut.of(posterior, x, mass, prior.logpdf(x) + log_l))
+            once = posterior, told_of(info, lacking(posterior))
+        far = lacking(posterior)
+        if far.mean <= MISSED * self.config.target_error and far.variance <= 0.5 * WRONG:
+            return once
         try:
-            asked = target * target / error if more and led and finer and error < EDGE else target
-            start = start.noted(needs=wanted)
-            prior, posterior, info = _again(prediction, start, measurement, z, config, asked)
-        except PropagationError:  # what there is already is better than none
-            break
-        grown, better = bool(posterior.form.own_points), info.error < best[2].error
-        if not grown and not better and asked < target:  # for so much less, a lattice was taken for cheaper
-            (prior, posterior, info), finer = best, False
-            continue
-        helped = _deciding(posterior, info, target) < HELPED * _deciding(*best[1:], target)
-        if (more and grown) or better:  # more points know better what they do not know
-            best = prior, posterior, info
-        if not helped or not grown:  # what is wrong was wrong before, and no points here cure it
-            break
-    return best if best is once else _remembering(best, once, known, target)
+            sensors = Sensors({str(k): sensor for k, (sensor, _) in enumerate(readings)})
+            z = np.concatenate([Reading.of(numbers).z for _, numbers in readings])
+            posterior, said = update(prior, sensors, z, self.config, n_particles=n_particles)
+        except (ModelError, PropagationError):
+            return once
+        if said.flagged and not once[1].flagged:
+            return once
+        own: Any = {name: getattr(info, name) for name in ("innovation", "innovation_cov", "reason")}
+        return posterior, replace(said, log_evidence=said.log_evidence - before, **own)
+
+    def without_family(self, once: Read) -> Read:
+        """Both again as something else, where a reading makes too much of a family's error."""
+        (prior, _, info), before = once, self.prediction.before
+        assert before is not None
+        target, known = target_of(prior, self.config, None), before.needs
+        if target is None or known is None or self.config.time_budget or not info.error > MISSED * target:
+            return once
+        try:
+            again = self.again(before.noted(needs=known._replace(waits=max(known.waits, 1))))
+        except PropagationError:
+            return once
+        return again if again[2].error < info.error else once
+
+    def again(self, start: ParticleDensity, target: float | None = None) -> Read:
+        """Predict from a start, to another target if one is given, and update by all readings of the time."""
+        config, prediction = self.config, self.prediction
+        finer = config if target is None else replace(config, target_error=target)
+        if prediction.before is None:  # what was read before is in the prior, and nothing leads to that
+            return start, *update(start, self.measurement, self.z, config, n_particles="auto")
+        prior, log_evidence = prediction.from_density(start, finer, "auto"), 0.0
+        first = prior if prediction.readings else None
+        for sensor, numbers in prediction.readings:
+            prior, info = update(prior, sensor, numbers, config, n_particles="auto")
+            log_evidence += info.log_evidence
+        asked = self._replace(prediction=prediction._replace(prior=first, log_evidence=log_evidence))
+        once = update(prior, self.measurement, self.z, config, n_particles="auto")
+        return prior, *asked.used_together(once, "auto")
+
+    def on_more_points(self, once: Read) -> Read:
+        """Both again where a reading finds too few points, or points that know no way to be led.
+
+        Readings of the same time are used once more; without a prediction, the prior itself is drawn anew.
+        """
+        (prior, posterior, info), best, before = once, once, self.prediction.before
+        start, finer = prior if before is None else before, True
+        target, known, budget = target_of(prior, self.config, None), start.needs, self.config.time_budget
+        as_it_was = bool(prior.form.own_points)
+        in_vain = start.error > EDGE or (before is None and as_it_was)  # it lies elsewhere, or is all of it
+        if target is None or known is None or budget or in_vain or info.reason == NOTHING_CAME:
+            return once
+        for tries in range(TRIES):
+            cloud = posterior.cloud
+            assert cloud is not None
+            led = before is None or as_it_was
+            error = _deciding(posterior, info, target, 0.0 if led else cloud.inherited.error)
+            if error > MISSED * target:
+                error = _added(self.prediction, prior, posterior, error, target)
+            more = points_for(cloud.size, error, target, prior.dim) if error > MISSED * target else 0
+            if more <= cloud.size and (tries > 0 or led):
+                break
+            if _evaluations(self.prediction, cloud) * more > _MOST_EVALUATIONS:
+                break
+            wanted = known._replace(points=more or known.points, waits=max(known.waits, 1))
+            try:
+                asked = target * target / error if more and led and finer and error < EDGE else target
+                start = start.noted(needs=wanted)
+                prior, posterior, info = self.again(start, asked)
+            except PropagationError:  # what there is already is better than none
+                break
+            grown, better = bool(posterior.form.own_points), info.error < best[2].error
+            # for so much less, a lattice was taken for cheaper
+            if not grown and not better and asked < target:
+                (prior, posterior, info), finer = best, False
+                continue
+            helped = _deciding(posterior, info, target) < HELPED * _deciding(*best[1:], target)
+            if (more and grown) or better:  # more points know better what they do not know
+                best = prior, posterior, info
+            if not helped or not grown:  # what is wrong was wrong before, and no points here cure it
+                break
+        return best if best is once else _remembering(best, once, known, target)
 
 
 def _evaluations(prediction: Prediction, cloud: CloudState) -> float:

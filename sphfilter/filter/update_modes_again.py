@@ -3,8 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -52,19 +51,18 @@ def update_or_predict_modes_again(
     Returns the prior that was used, the posterior, and what `update_modes` says. Raises `PropagationError` as
     that does, or if a prediction that was made again failed.
     """
-    target = config.target_error
     modes, info = update_modes(prior, sensors, z, config, n_particles)
     if modes is prior or prediction is None:
         return prior, modes, info
     far = _far(prediction, prior, modes, info)
-    again = partial(_again, prediction, prior.heaviest.t, sensors, z, config)
+    asked = _Asked(prediction, prior.heaviest.t, sensors, z, config, n_particles, fits)
     read = prior, modes, info
     if n_particles == "auto" and config.scheme == "auto" and goes_as_points(prior):
-        read = _on_more_points(prediction, read, again, target, fits)
-    read, in_doubt, code = _finer(prediction, read, partial(again, n_particles), far, target, fits)
+        read = asked.on_more_points(read)
+    read, in_doubt, code = asked.finer(read, far)
     prior, modes, info = read
     info = info.also(code, _LATE) if Code.LATE in code else info.noted(code=info.code | code)
-    if info.splitting_error > MISSED * target:
+    if info.splitting_error > MISSED * config.target_error:
         info = info.also(Code.COARSE, _COARSE.format(info.splitting_error))
     if in_doubt > _IN_DOUBT:
         info = info.also(Code.COARSE, _MERGED.format(in_doubt))
@@ -72,70 +70,62 @@ def update_or_predict_modes_again(
     return prior, modes, replace(info, evidence_error=math.hypot(info.evidence_error, in_doubt))
 
 
-def _finer(
-    prediction: ModesPrediction,
-    read: _Read,
-    again: Callable[..., _Read],
-    far: float,
-    target: float,
-    fits: Callable[[float], bool],
-) -> tuple[_Read, float, Code]:
-    """Predict and update again in more steps, where these are in doubt, or with fewer Gaussians merged.
+class _Asked(NamedTuple):
+    """A reading of all modes, and the prediction before it, which both may be made again."""
 
-    `far` is as of `_far`. Returns what was read, nats of its evidence that are in doubt, and what was done.
-    """
-    steps, apart, in_doubt, code = prediction.n_substeps, max(far, 1.0), 0.0, Code.OK
-    for _ in range(TRIES):
-        off = read[2].splitting_error
-        if not far and (off <= target or steps == MOST_SUBSTEPS):
-            break
-        if not fits(1.0):
-            return read, in_doubt, code | Code.LATE
-        # what steps get wrong falls as their square, or faster
-        steps = min(math.ceil(steps * math.sqrt(max(off / target, MORE))), MOST_SUBSTEPS)
-        before, reach, apart = read[2].log_evidence, max(math.sqrt(far) / FAR, 1.0), MORE * apart
-        read, code = again(n_substeps=steps, apart=apart if far else 1.0, reach=reach), Code.REPEATED
-        in_doubt = abs(read[2].log_evidence - before) if far else 0.0
-        far = far if in_doubt > _IN_DOUBT else 0.0
-    return read, in_doubt, code
+    prediction: ModesPrediction
+    t: float  # to which that went
+    sensors: Mapping[str, Sensor]
+    z: ArrayLike | None
+    config: FilterConfig
+    n_particles: int | str
+    fits: Callable[[float], bool]
 
+    def finer(self, read: _Read, far: float) -> tuple[_Read, float, Code]:
+        """Predict and update again in more steps, where these are in doubt, or with fewer Gaussians merged.
 
-def _again(
-    prediction: ModesPrediction,
-    t: float,
-    sensors: Mapping[str, Sensor],
-    z: ArrayLike | None,
-    config: FilterConfig,
-    n_particles: int | str = "auto",
-    points: int | None = None,
-    **finer: Any,
-) -> _Read:
-    """The prediction and the reading once more: on so many points in each mode, or by other options."""
-    before = prediction.before if points is None else prediction.before.cut(points)
-    prior, _ = predict_modes(before, prediction.model, t, config, n_particles, **finer)
-    return prior, *update_modes(prior, sensors, z, config, n_particles)
+        `far` is as of `_far`. Returns what was read, nats of its evidence that are in doubt, and what was
+        done.
+        """
+        target, steps, apart = self.config.target_error, self.prediction.n_substeps, max(far, 1.0)
+        in_doubt, code = 0.0, Code.OK
+        for _ in range(TRIES):
+            off = read[2].splitting_error
+            if not far and (off <= target or steps == MOST_SUBSTEPS):
+                break
+            if not self.fits(1.0):
+                return read, in_doubt, code | Code.LATE
+            # what steps get wrong falls as their square, or faster
+            steps = min(math.ceil(steps * math.sqrt(max(off / target, MORE))), MOST_SUBSTEPS)
+            before, reach, apart = read[2].log_evidence, max(math.sqrt(far) / FAR, 1.0), MORE * apart
+            read = self.again(n_substeps=steps, apart=apart if far else 1.0, reach=reach)
+            code = Code.REPEATED
+            in_doubt = abs(read[2].log_evidence - before) if far else 0.0
+            far = far if in_doubt > _IN_DOUBT else 0.0
+        return read, in_doubt, code
 
+    def again(self, points: int | None = None, **finer: Any) -> _Read:
+        """Prediction and reading once more: on so many points in each mode, or by other options."""
+        before = self.prediction.before if points is None else self.prediction.before.cut(points)
+        settings = self.config, self.n_particles
+        prior, _ = predict_modes(before, self.prediction.model, self.t, *settings, **finer)
+        return prior, *update_modes(prior, self.sensors, self.z, *settings)
 
-def _on_more_points(
-    prediction: ModesPrediction,
-    read: _Read,
-    again: Callable[..., _Read],
-    target: float,
-    fits: Callable[[float], bool],
-) -> _Read:
-    """Predict and update again where a reading finds too few points: what was wrong before no points cure."""
-    usual, least = read[1], MISSED * max(target, prediction.before.error)
-    for _ in range(TRIES):
-        prior, modes, info = read
-        points = points_of_modes(prior, target)
-        more = points_for(points, modes.error, target, prior.heaviest.dim)
-        if not modes.error > least or more <= points or not fits(more / points):
-            break
-        other = again(points=more)
-        if not other[2].error < HELPED * info.error:
-            break
-        read = other[0], other[1].remembering(usual), other[2]
-    return read
+    def on_more_points(self, read: _Read) -> _Read:
+        """Both again where a reading finds too few points: what was wrong before no points cure."""
+        usual, target = read[1], self.config.target_error
+        least = MISSED * max(target, self.prediction.before.error)
+        for _ in range(TRIES):
+            prior, modes, info = read
+            points = points_of_modes(prior, target)
+            more = points_for(points, modes.error, target, prior.heaviest.dim)
+            if not modes.error > least or more <= points or not self.fits(more / points):
+                break
+            other = self.again(points=more)
+            if not other[2].error < HELPED * info.error:
+                break
+            read = other[0], other[1].remembering(usual), other[2]
+        return read
 
 
 def _far(

@@ -109,8 +109,8 @@ class Evidence:
         made = self.given, self.times, self.measurements, self.names, None, self.inputs
         return Evidence, made, {"bounds": self.bounds, "n_evaluations": self.n_evaluations}
 
-    def first(self, theta: Floats) -> float:
-        """At the guess, where it has to be finite."""
+    def first(self, theta: Floats) -> None:
+        """Raise `EstimationError` where it is not finite at the guess."""
         try:
             value = self._run(theta)
         except SphfilterError as problem:
@@ -119,7 +119,6 @@ class Evidence:
             ) from problem
         if not np.isfinite(value):
             raise EstimationError(f"the log-evidence of the guess {self.named(theta)} is {value}")
-        return value
 
     def __call__(self, theta: Floats) -> float:
         try:

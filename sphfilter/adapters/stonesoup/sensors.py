@@ -36,7 +36,6 @@ class ModelMeasurement(PlainSensor):
         self._model, self._timestamp = model, timestamp
         self.dim_z = model.ndim_meas
         self.noise_cov = _noise_cov(model)
-        self.angles: tuple[int, ...] = ()
 
     def predict(self, X: Floats, t: float = 0.0) -> Floats:
         """Noise-free reading in each state X (N, n), shape (N, k)."""

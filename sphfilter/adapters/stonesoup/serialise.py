@@ -4,6 +4,7 @@ import base64
 import json
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from typing import Any, NoReturn
 
 import numpy as np
@@ -39,27 +40,21 @@ def extend(yaml: Any) -> None:
     """
     for kind, (write, read) in _FORMS.items():
         tag = f"!sphfilter.{kind.__name__}"
-        yaml.representer.add_representer(kind, _representer(tag, write))
-        yaml.constructor.add_constructor(tag, _constructor(read))
+        yaml.representer.add_representer(kind, partial(_represented, tag, write))
+        yaml.constructor.add_constructor(tag, partial(_constructed, read))
     yaml.constructor.add_multi_constructor(f"!{_OURS}", _component_from_yaml)
 
 
-def _representer(tag: str, write: Callable[[Any], str]) -> Callable[[Any, Any], Any]:
-    def represent(representer: Any, value: Any) -> Any:
-        text = write(value)
-        return representer.represent_scalar(tag, text, style="|" if "\n" in text else None)
-
-    return represent
+def _represented(tag: str, write: Callable[[Any], str], representer: Any, value: Any) -> Any:
+    text = write(value)
+    return representer.represent_scalar(tag, text, style="|" if "\n" in text else None)
 
 
-def _constructor(read: Callable[[str], Any]) -> Callable[[Any, Any], Any]:
-    def construct(constructor: Any, node: Any) -> Any:
-        try:
-            return read(str(constructor.construct_scalar(node)))
-        except (SphfilterError, ValueError, TypeError, KeyError) as problem:
-            raise ConstructorError(f"while reading a {node.tag}", node.start_mark, str(problem)) from problem
-
-    return construct
+def _constructed(read: Callable[[str], Any], constructor: Any, node: Any) -> Any:
+    try:
+        return read(str(constructor.construct_scalar(node)))
+    except (SphfilterError, ValueError, TypeError, KeyError) as problem:
+        raise ConstructorError(f"while reading a {node.tag}", node.start_mark, str(problem)) from problem
 
 
 def _component_from_yaml(constructor: Any, tag_suffix: str, node: Any) -> Base:
