@@ -202,7 +202,9 @@ class _Target:
             ends = best[[k]] - wide[k], best[[k]] + wide[k]
             step = first_steps(best[[k]], *ends)
             with suppress(EstimationError):  # it falls nowhere: the draws will tell
-                step = scales(mirrored, best[[k]], self.evidence(best), step, *ends, self.evidence.names[k:])
+                step = scales(
+                    mirrored, best[[k]], self.evidence(best), step, *ends, self.evidence.names[k : k + 1]
+                )
             cov[k, k] = step[0] ** 2
         return cov
 

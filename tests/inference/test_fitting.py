@@ -109,7 +109,8 @@ def test_anything_that_makes_a_filter_can_be_fitted(z):
 def test_an_estimate_on_a_bound_says_so(z):
     free = sf.fit_parameters(exact, TIMES, z, {"k": 0.8, "c": 0.5})
     bound = free.estimate["c"] + 0.5 * free.standard_error["c"]
-    held = sf.fit_parameters(exact, TIMES, z, {"k": 0.8, "c": bound + 0.2}, bounds={"c": (bound, None)})
+    held = sf.fit_parameters(exact, TIMES, z, {"c": bound + 0.2, "k": 0.8}, bounds={"c": (bound, None)})
+    assert held.posterior().mean["c"] > bound
     assert held.at_bound == ("c",) and held.estimate["c"] == bound
     assert np.isnan(held.standard_error["c"]) and np.isfinite(held.standard_error["k"])
     assert "on a bound or very near it, without a standard error: c" in str(held)
