@@ -31,9 +31,13 @@ def blocks_of(count):
 @jit
 def end_of_block(block, first):
     """Number after the last of the points that are in the block of one."""
-    end = first + 1
-    while end < block.size and block[end] == block[first]:
-        end += 1
+    end, other = first + 1, block.size
+    while end < other:
+        middle = (end + other) // 2
+        if block[middle] == block[first]:
+            end = middle + 1
+        else:
+            other = middle
     return end
 
 
@@ -91,20 +95,38 @@ def about(c, x, block):
 
 
 @jit
+def toward(x, part, c, block):
+    """Points x (n, N), drawn to the centres c (blocks, n) of their blocks by a part (blocks,) of the way."""
+    out, first = np.empty(x.shape), 0
+    while first < block.size:
+        b, size = block[first], end_of_block(block, first) - first
+        for a in range(len(x)):
+            own, given, middle = stretch(out, a, first, size), stretch(x, a, first, size), c[b, a]
+            for i in range(size):
+                own[i] = given[i] - part[b] * (given[i] - middle)
+        first += size
+    return out
+
+
+@jit
 def add_products(out, factor, A, x, block, turned=False):
     """Add so many times A x of each point's block to out (m, N or more), A (blocks, m, n), x (n, N or more).
 
     A may be `turned`, its rows for its columns.
     """
-    first = 0
+    first, n = 0, len(x)
     while first < block.size:
         b, size = block[first], end_of_block(block, first) - first
         for a in range(len(out)):
-            own = stretch(out, a, first, size)
-            for e in range(len(x)):
-                on, given = factor * (A[b, e, a] if turned else A[b, a, e]), stretch(x, e, first, size)
-                for i in range(size):
-                    own[i] += on * given[i]
+            own, e = stretch(out, a, first, size), 0
+            while e < n:  # two at a time: half as often a result is read and written
+                f = min(e + 1, n - 1)
+                one = factor * (A[b, e, a] if turned else A[b, a, e])
+                two = factor * (A[b, f, a] if turned else A[b, a, f]) if f > e else 0.0
+                given, other = stretch(x, e, first, size), stretch(x, f, first, size)
+                for i in range(size if one != 0.0 or two != 0.0 else 0):
+                    own[i] += one * given[i] + two * other[i]
+                e += 2
         first += size
 
 

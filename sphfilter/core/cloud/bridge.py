@@ -17,7 +17,7 @@ from .blocks import blocks_of, centres, multiplied
 from .curve import along_curve
 from .guide import Moved, look_ahead, near_of, of_first, over_both
 from .linearise import linearised
-from .move import over
+from .move import over, shifted
 from .noise import even_normals, mixed, stored, uniform
 from .reader import NET, PARTS, WAY, Part, as_one, as_seen, gone, likelihoods, read
 from .way import AGAIN, FIRST, everywhere
@@ -51,7 +51,7 @@ def bridge(given, nets, key, least, curve):
     if found[0].size == 0 or effective(1.0 * np.bincount(found[0])) < least:
         return none
     ancestor, new, log_ratio = some_free(found, log_l, share, u, own)
-    z = gone(leg, True, taken(x, ancestor), new, block[ancestor], kernel, key)
+    z = shifted(taken(x, ancestor), new, block[ancestor], kernel.lower)
     log_w, lineage, stage = total - log_ratio - math.log(count), ancestor, 0
     while _kept(z, log_w):  # each stage takes half of what is left, or its only step
         stage += 1

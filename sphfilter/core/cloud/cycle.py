@@ -12,6 +12,7 @@ from numba import types
 
 from .._addresses import ADDRESS, NOWHERE_AT, Entry
 from .._jit import MATRIX, VECTOR, jit
+from .._views import lent
 from . import control
 from .bridge import BRIDGE
 from .inherited import (
@@ -115,6 +116,7 @@ def put_through(parts, motion, sensor, spans, standing, bounds, curve):
     its error, the errors of the mean and the variances, the innovation with its covariance where h is a
     function, and whether it or its prediction is flagged.
     """
+    parts, motion, sensor, spans, curve = lent((parts, motion, sensor, spans, curve))
     (leg, stiff_flow, changes), (reader, Z), (times, least) = motion, sensor, spans
     (K, k), (n, count) = Z.shape, standing.many.nets[0].shape
     m, P, x, C = np.empty((K, n)), np.empty((K, n, n)), np.empty((K, n)), np.empty((K, n, n))

@@ -11,6 +11,7 @@ import numpy as np
 from numba.extending import register_jitable
 
 from .._jit import jit
+from .._views import lent, stretch
 from ..elementary import FAST
 from ..limits import LARGEST_EXPONENT
 from ..small_matrices import cholesky, invert_lower, log_peak, solve_factored
@@ -69,7 +70,8 @@ def without_noise(moved, near):
     while first < N:
         last = end_of_block(block, first)
         for a in range(n):
-            _add_of_neighbours(rest[a, first:last], out[a, first:last], near)
+            own, K = stretch(out, a, first, last - first), last - first
+            _add_of_neighbours(stretch(rest, a, first, K), own, near)
         first = last
     return out
 
@@ -195,6 +197,20 @@ def residuals(z, h, angle):
 
 
 @jit
+def _fill_gains(HL, R, gains, ahead, rest):
+    """Fill gains K and T of all blocks, and inverse roots and peaks of the noise ahead, HL HLᵀ + R, and of R.
+
+    They are left as they are where there are none.
+    """
+    (blocks, k, _), (K, T), (of_S, peak_S), (of_R, peak_R) = HL.shape, lent(gains), lent(ahead), lent(rest)
+    S, F = np.empty((k, k)), np.empty((k, k))
+    HL, R = lent((HL, R))
+    for b in range(blocks):
+        if _gain(HL[b], R[b], S, K[b], T[b]) and cholesky(S, F) and cholesky(R[b], S):
+            peak_S[b], peak_R[b] = _inverse(F, of_S[b]), _inverse(S, of_R[b])
+
+
+@jit
 def _gain(HL, R, S, K, T):
     """Fill S = HL HLᵀ + R, K = HLᵀ S⁻¹ (n, k) and T with T Tᵀ = I - K HL; False where there is none."""
     k, n = HL.shape
@@ -232,15 +248,14 @@ def look_ahead(ahead, u, w, block, net, key):
     order, and their u (n, count), none where no block can be guided; and the logarithm (N + count,) of the
     proposal's density of (point, u) over the prior's: of the N of the first pass, then of the new ones.
     """
+    ahead, u, w, block, net = lent((ahead, u, w, block, net))
     r, y, L, HL, R = ahead
     (k, N), (n, count), blocks = r.shape, net.shape, HL.shape[0]
     z, cut = even_normals(net, key), uniform(key, np.uint64(0))
-    K, T, S, F = np.zeros((blocks, n, k)), np.zeros((blocks, n, n)), np.empty((k, k)), np.empty((k, k))
+    K, T = np.zeros((blocks, n, k)), np.zeros((blocks, n, n))
     of_S, of_R = np.zeros((blocks, k, k)), np.zeros((blocks, k, k))
     peak_S, peak_R = np.full(blocks, -np.inf), np.full(blocks, -np.inf)
-    for b in range(blocks):
-        if _gain(HL[b], R[b], S, K[b], T[b]) and cholesky(S, F) and cholesky(R[b], S):
-            peak_S[b], peak_R[b] = _inverse(F, of_S[b]), _inverse(S, of_R[b])
+    _fill_gains(HL, R, (K, T), (of_S, peak_S), (of_R, peak_R))
     a = prior_times(w, _said(r, block, of_S, peak_S))
     top, log_ratio = a.max(), np.empty(N + count)
     if top == -np.inf:

@@ -11,7 +11,7 @@ from numba import types
 
 from .._addresses import Entry, function_at
 from .._jit import MATRIX, jit
-from .._views import rows_at, stretch
+from .._views import lent, rows_at, stretch
 from ..limits import ROUNDING
 from ..small_matrices import product
 from ..sums import dot, summed
@@ -124,6 +124,7 @@ def linearise(leg, c):
     d = steps m. The Jacobian of each step is that in its middle; what is wrong with it costs a guide nothing
     but efficiency.
     """
+    leg, c = lent((leg, c))
     (nb, n), m, h = c.shape, leg.root.shape[0], leg.h
     room, middle = new_room(m), np.empty((nb, n))
     J, g, sigma = np.empty((nb, n * n)), np.empty((nb, n * m)), np.empty((n, m))

@@ -5,7 +5,7 @@ from numba import types
 
 from .._addresses import Entry
 from .._jit import MATRIX, jit
-from .._views import stretch
+from .._views import lent, stretch
 from .blocks import about, add_products, multiplied, steered
 from .noise import LANES, fill_noise
 from .steps import CUBE, LEG, Leg, new_room, walk
@@ -17,6 +17,14 @@ def over(leg, flow, t0, t1, steps):
     fixed = leg.drift, leg.jacobian, leg.noise, flow, leg.walk, leg.linearise, leg.move
     data, kinds = (leg.p, leg.root, leg.domain), (leg.kind, leg.constant, leg.walls)
     return Leg(*fixed, *data, t0, (t1 - t0) / steps, steps, *kinds)
+
+
+@jit
+def shifted(x, u, block, lower):
+    """Points x + L u (n, N) of their blocks."""
+    y = x.copy()
+    add_products(y, 1.0, lower, u, block)
+    return y
 
 
 @jit
@@ -36,6 +44,7 @@ def move_chunk(leg, c, x, u, V, block, Z, room):
 
     `room` is that of `chunk_room`.
     """
+    leg, x, u, V, block, Z, room = lent((leg, x, u, V, block, Z, room))
     (n, N), (given, rows, work) = x.shape, room
     begin, end = c * LANES, min((c + 1) * LANES, N)
     K = end - begin

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from .._jit import jit
-from .._views import stretch
+from .._views import lent, stretch
 
 #: Points that are moved together: of four states, 8 numbers each in a step, they fill the first-level cache,
 #: 128 * 4 * 8 * 8 bytes = 32 KB.
@@ -106,6 +106,7 @@ def fill_noise(key, stream, kind, walls, state, Z):
 
     Beside walls increments are normal, too: how far a path goes hangs on more than their moments.
     """
+    state, Z = lent((state, Z))
     seed_lanes(key, stream, state)
     if kind == NORMAL or walls:
         fill_normals(state, Z[0])

@@ -10,6 +10,7 @@ from .._jit import jit
 from ..limits import ALIKE
 from .blocks import steered
 from .guide import NEAR, WIDER, Moved, look_ahead, near_of, over_both, wrapped
+from .move import shifted
 from .noise import even_normals, mixed, stored
 from .reader import GUIDE, PARTS, as_one, as_seen, gone, likelihoods, read
 from .way import AGAIN
@@ -72,7 +73,7 @@ def weigh(way, nets, key):
     v = even_normals(nets[2], np.uint64(stored(own, PARTS + 1)))
     U = np.concatenate((u, v))
     steered(rows, block, new, U)
-    end = gone(leg, True, end, U[:n], block, kernel, np.uint64(0))
+    end = shifted(end, U[:n], block, kernel.lower)
     end = gone(leg, linear, end, U[n:], block, moved, mixed(np.uint64(passage), np.uint64(AGAIN)))
     more, wrong = likelihoods(reader, end, read(reader, end))
     both = over_both(np.concatenate((log_l, more)), log_ratio, w)

@@ -14,7 +14,7 @@ from numba import types
 
 from .._addresses import ADDRESS, NOWHERE_AT, Entry, function_at
 from .._jit import MATRIX, VECTOR, jit
-from .._views import rows_at
+from .._views import lent, rows_at
 from ..domain import DOMAIN, REFLECTING, Domain, bounce
 from ..limits import TINY
 from ..step_control import next_step
@@ -173,6 +173,7 @@ flow_at = FLOW.at
 @jit
 def flow(leg, x, t, h, room):
     """Move points x (K, n), however many, along the drift over h."""
+    leg, x, room = lent((leg, x, room))
     (K, n), at = x.shape, 0
     while at < K:
         many = min(K - at, _PART // n)
@@ -419,6 +420,7 @@ _walk_at = BESIDE.at
 @jit
 def walk(leg, x, Z, odd, room):
     """Move points x (K, n), at most `LANES`, over a leg along noise Z."""
+    leg, x, Z, room = lent((leg, x, Z, room))
     (K, n), at = x.shape, 0
     while at < K:
         many = min(K - at, _PART // n)

@@ -3,10 +3,10 @@
 import numpy as np
 
 from .._jit import jit
-from .blocks import about, block_roots, blocks_of, centres, multiplied
+from .blocks import block_roots, blocks_of, centres, multiplied, toward
 from .curve import ordered
 from .linearise import linearised, widths
-from .move import affine, moved_over
+from .move import affine, moved_over, shifted
 from .noise import even_normals, mixed, stored, uniform
 from .weights import effective, for_moments, taken, weighted_moments
 
@@ -35,21 +35,21 @@ def begin(x, w, lineage, count, key, net, table, bits):
     mean, cov = np.empty(n), np.empty((n, n))
     weighted_moments(x, w, mean, cov)
     order = ordered(x, mean, cov, table, bits)
-    x, w = taken(x, order), w[order]
     if count != N or effective(w) < _FEW * count:
-        chosen, w = for_moments(x, w, mean, cov, count, uniform(np.uint64(key), np.uint64(_CUT)))
-        order, x = order[chosen], taken(x, chosen)
+        order, w = for_moments(x, w, mean, cov, order, count, uniform(np.uint64(key), np.uint64(_CUT)))
+    else:
+        w = w[order]
+    x = taken(x, order)
     # what a reading has left is smoothed each time; a density that becomes points is smoothed once
     known, power = (lineage[0][order], max(2.0 / n, 1.0)) if lineage.size > 0 else (order, 2.0 / n)
     part = widths(x, known, power)
     block, middle, lower = blocks_of(count), centres(x), block_roots(x)
     u, flow = even_normals(net, np.uint64(stored(key, KERNEL))), np.empty(lower.shape)
-    off = about(middle, x, block)
-    start = x - (1.0 - np.sqrt(1.0 - part**2))[block] * off
+    start = toward(x, 1.0 - np.sqrt(1.0 - part**2), middle, block)
     flow[:] = np.eye(n)
     lower *= part.reshape(-1, 1, 1)
     older = taken(lineage, order)
-    y = affine(start, u, block, middle, middle, flow, lower)
+    y = shifted(start, u, block, lower)
     return start, y, u, w, block, middle, lower, flow, older
 
 

@@ -91,7 +91,8 @@ def compared(mean, cov, other, own):
 def finite_rows(x):
     """Which of states x (n, N) are numbers, (N,), and whether all are."""
     n, N = x.shape
-    fine, every = np.ones(N, np.bool_), summed(0.0 * x.reshape(-1)) == 0.0
+    fine, numbers = np.ones(N, np.bool_), x.reshape(-1)
+    every = dot(numbers, numbers) < np.inf
     for a in range(0 if every else n):
         for i in range(N):
             fine[i] &= abs(x[a, i]) < np.inf
@@ -224,21 +225,18 @@ def normalise(log_w, w):
 def systematic(w, count, shift):
     """Numbers (count,) of points of weights w (N,), each as often as its weight says but for rounding.
 
-    One shift on [0, 1) moves all strata; what rounding may have lost at the end of the weights goes to the
-    last point that has any.
+    One shift on [0, 1) moves all strata. Of points without a weight that is a number it is the first.
     """
-    last = w.size - 1
-    while last > 0 and w[last] == 0.0:
-        last -= 1
-    total = summed(w)
-    out, j, passed = np.empty(count, np.int64), 0, w[0]
-    for i in range(count):
-        position = (i + shift) / count * total
-        while position >= passed and j < last:
-            j += 1
-            passed += w[j]
-        out[i] = j
-    return out
+    first, passed, out = np.empty(w.size), 0.0, np.zeros(count + 1, np.int64)
+    for j in range(w.size):
+        first[j] = passed
+        passed += w[j]
+    for j in range(w.size if 0.0 < passed < np.inf else 0):
+        # where draws of each begin: one that has none begins where the next one does, which is written later
+        out[min(math.ceil(first[j] / passed * count - shift), count)] = j
+    for i in range(1, count):
+        out[i] = max(out[i], out[i - 1])
+    return out[:count]
 
 
 @jit
@@ -267,15 +265,15 @@ def oftener(w, more, count):
 
 
 @jit
-def for_moments(x, w, mean, cov, count, shift):
+def for_moments(x, w, mean, cov, order, count, shift):
     """Numbers and weights (count,) of points drawn from weighted ones, x (n, N) and w (N,), all of sum one.
 
-    Their mean is (n,), their covariance (n, n).
+    They are drawn in an order (N,). Their mean is (n,), their covariance (n, n).
 
     A point d standard deviations from the mean is drawn up to 1 + d²/n times as often as its weight says, and
     weighs as much less: mean and covariance hang on it so much more, and so may what is read next.
     """
     by = oftener(w, distances(x, mean, cov), count)
-    chosen = systematic(by, count, shift)
+    chosen = order[systematic(by[order], count, shift)]
     own = w[chosen] / by[chosen]
     return chosen, own / own.sum()

@@ -17,6 +17,7 @@ from numba import typeof, types
 
 from .._addresses import NOWHERE_AT, Entry, function_at
 from .._jit import MATRIX, VECTOR, jit
+from .._views import lent
 from ..small_matrices import product
 from .basis import BASIS
 from .frame import inverse
@@ -73,6 +74,7 @@ def work(basis, state_dependent):
 @jit
 def rates(flow, basis, own, t, y, dy):
     """Rates dy of y = (mu, A, c) at time t; returns the mean square of R that the family cannot follow."""
+    flow, basis, own, y, dy = lent((flow, basis, own, y, dy))
     n = basis.xi.shape[1]
     A, dA = y[n : n + n * n].reshape((n, n)), dy[n : n + n * n].reshape((n, n))
     dmu = dy[:n]
@@ -116,6 +118,7 @@ def defect_rates(flow, basis, beyond, own, y, dy, s, ds):
     The first goes as the density does that has both polynomials, the second as the drift bends on average,
     dU = G U + U G^T, and noise forgets the third. Of polynomials noise forgets more the higher they are.
     """
+    flow, basis, beyond, own, y, dy, s, ds = lent((flow, basis, beyond, own, y, dy, s, ds))
     n, (M, N) = basis.xi.shape[1], beyond.V.shape
     first = n + n * n
     A, c, dc, whole = y[n:first].reshape((n, n)), y[first:], dy[first:], s[:M].copy()
