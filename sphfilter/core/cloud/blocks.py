@@ -81,29 +81,15 @@ def block_roots(x):
 
 
 @jit
-def about(c, x, block):
-    """Points x (n, N) from the centres c (blocks, n) of their blocks."""
+def combined(p, x, q, c, block):
+    """Points p x + q c (n, N) of points x and centres c (blocks, n) of their blocks, p and q (blocks,)."""
     out, first = np.empty(x.shape), 0
     while first < block.size:
         b, size = block[first], end_of_block(block, first) - first
         for a in range(len(x)):
-            own, given, middle = stretch(out, a, first, size), stretch(x, a, first, size), c[b, a]
+            own, given, middle = stretch(out, a, first, size), stretch(x, a, first, size), q[b] * c[b, a]
             for i in range(size):
-                own[i] = given[i] - middle
-        first += size
-    return out
-
-
-@jit
-def toward(x, part, c, block):
-    """Points x (n, N), drawn to the centres c (blocks, n) of their blocks by a part (blocks,) of the way."""
-    out, first = np.empty(x.shape), 0
-    while first < block.size:
-        b, size = block[first], end_of_block(block, first) - first
-        for a in range(len(x)):
-            own, given, middle = stretch(out, a, first, size), stretch(x, a, first, size), c[b, a]
-            for i in range(size):
-                own[i] = given[i] - part[b] * (given[i] - middle)
+                own[i] = p[b] * given[i] + middle
         first += size
     return out
 

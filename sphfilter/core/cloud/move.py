@@ -6,9 +6,10 @@ from numba import types
 from .._addresses import Entry
 from .._jit import MATRIX, jit
 from .._views import lent, stretch
-from .blocks import about, add_products, multiplied, steered
+from .blocks import add_products, multiplied, steered
 from .noise import LANES, fill_noise
 from .steps import CUBE, LEG, Leg, new_room, walk
+from .weights import taken
 
 
 @jit
@@ -30,9 +31,9 @@ def shifted(x, u, block, lower):
 @jit
 def affine(x, u, block, start, end, flow, lower):
     """Points (n, N) end + Φ (x - start) + L u of their blocks."""
-    (blocks, n), y = start.shape, np.zeros(x.shape)
+    blocks, n = start.shape
     flowed = multiplied(flow, start.copy().reshape(blocks, n, 1)).reshape(blocks, n)
-    y = about(flowed - end, y, block)
+    y = taken((end - flowed).T.copy(), block)
     add_products(y, 1.0, flow, x, block)
     add_products(y, 1.0, lower, u, block)
     return y

@@ -3,7 +3,7 @@
 import numpy as np
 
 from .._jit import jit
-from .blocks import block_roots, blocks_of, centres, multiplied, toward
+from .blocks import block_roots, blocks_of, centres, combined, multiplied
 from .curve import ordered
 from .linearise import linearised, widths
 from .move import affine, moved_over, shifted
@@ -45,7 +45,8 @@ def begin(x, w, lineage, count, key, net, table, bits):
     part = widths(x, known, power)
     block, middle, lower = blocks_of(count), centres(x), block_roots(x)
     u, flow = even_normals(net, np.uint64(stored(key, KERNEL))), np.empty(lower.shape)
-    start = toward(x, 1.0 - np.sqrt(1.0 - part**2), middle, block)
+    kept = np.sqrt(1.0 - part**2)
+    start = combined(kept, x, 1.0 - kept, middle, block)
     flow[:] = np.eye(n)
     lower *= part.reshape(-1, 1, 1)
     older = taken(lineage, order)

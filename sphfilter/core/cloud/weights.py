@@ -10,7 +10,7 @@ from ..elementary import FAST
 from ..limits import LITTLE, LOOK, ROUNDING, TINY
 from ..small_matrices import cholesky, invert_lower, whiten
 from ..sums import dot, summed
-from .blocks import about, squares
+from .blocks import combined, squares
 from .noise import LANES
 
 
@@ -248,7 +248,8 @@ def distances(x, mean, cov):
     (n, N), L, one = x.shape, np.empty(cov.shape), np.zeros(x.shape[1], np.int64)
     if not cholesky(cov, L):
         return np.zeros(N)
-    return squares(invert_lower(L).reshape(1, n, n) / math.sqrt(n), about(mean.reshape(1, n), x, one), one)
+    off = combined(np.ones(1), x, -np.ones(1), mean.reshape(1, n), one)
+    return squares(invert_lower(L).reshape(1, n, n) / math.sqrt(n), off, one)
 
 
 @jit
