@@ -48,8 +48,8 @@ BOUNDS = {
     # drops 25, variances that steps of clouds get wrong 95, modes and rates that clouds lost 85, quantiles of
     # clouds and what predictions leave of errors 45, what leaves a well 65, answers of shapes 80, files for
     # shapes in domains and for rules of paths 25, jumps there and back 115, sentences and closed forms that
-    # users missed 90, matrices said in text 45, paths beside walls 35, arrays that are lent 65, less what they
-    # replaced
+    # users missed 90, matrices said in text 45, paths beside walls 35, arrays that are lent 65, less what
+    # they replaced
     "lines of sphfilter": 41_578,
     "lines of reference_filters": 5_016,
     "lines of experiments": 12_335,
