@@ -46,7 +46,9 @@ def by_lattice(
         unsure = 0.0 if density.gaussian else _extrapolated(density, new)
         moments = (density.mean(), density.cov()), (new.mean(), new.cov())
         left = shift_left_by_update(moments[0][1], moments[1][1], new.gaussian)
-        error = math.hypot(left * density.error, found.off.mean, unsure, of_shape(density.rough, moments))
+        # what its mean is off by may be of any shape: next to nothing at a usual reading, ten times in a tail
+        shape = of_shape(math.hypot(density.rough, density.error), moments)
+        error = math.hypot(left * density.error, found.off.mean, unsure, shape)
         unknown = _beyond(density, new)
     except PropagationError as problem:
         if not flag and config.scheme == "auto":

@@ -415,9 +415,8 @@ def test_weights_that_are_no_numbers_are_left_out():
 
 def test_of_one_carrier_points_are_drawn():
     x, w = np.array([[1e50, 0.0], [0.0, 1.0]]), np.array([1.0, 1e-214])
-    assert for_moments(x, w, np.zeros(2), np.diag([1e-214, 1e-214]), np.arange(len(w)), 64, 0.3)[
-        1
-    ].sum() == pytest.approx(1.0)
+    mean, cov, order = np.zeros(2), np.diag([1e-214, 1e-214]), np.arange(len(w))
+    assert for_moments(x, w, mean, cov, order, 64, 0.3)[1].sum() == pytest.approx(1.0)
 
 
 def test_lineages_go_back_as_far_as_they_tell_apart():

@@ -70,8 +70,8 @@ def without_noise(moved, near):
     while first < N:
         last = end_of_block(block, first)
         for a in range(n):
-            own, K = stretch(out, a, first, last - first), last - first
-            _add_of_neighbours(stretch(rest, a, first, K), own, near)
+            own, given = stretch(out, a, first, last - first), stretch(rest, a, first, last - first)
+            _add_of_neighbours(given, own, near)
         first = last
     return out
 
@@ -204,7 +204,6 @@ def _fill_gains(HL, R, gains, ahead, rest):
     """
     (blocks, k, _), (K, T), (of_S, peak_S), (of_R, peak_R) = HL.shape, lent(gains), lent(ahead), lent(rest)
     S, F = np.empty((k, k)), np.empty((k, k))
-    HL, R = lent((HL, R))
     for b in range(blocks):
         if _gain(HL[b], R[b], S, K[b], T[b]) and cholesky(S, F) and cholesky(R[b], S):
             peak_S[b], peak_R[b] = _inverse(F, of_S[b]), _inverse(S, of_R[b])
