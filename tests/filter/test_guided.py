@@ -10,7 +10,7 @@ from sphfilter.core.cloud.control import least_error
 from sphfilter.core.cloud.guide import Ahead, look_ahead
 from sphfilter.core.cloud.lineages import LINES, carriers, of_variances, outermost
 from sphfilter.core.cloud.pace import Steps
-from sphfilter.core.cloud.weights import for_moments
+from sphfilter.core.cloud.weights import finite_rows, for_moments
 from sphfilter.density.moments import columns, moments
 from sphfilter.density.passage import moved_points, points_of_gaussian, stored_key
 from sphfilter.density.points import NO_LINES, Carried
@@ -411,6 +411,11 @@ def test_weights_that_are_no_numbers_are_left_out():
     found = Carried.of(x, log_w, np.arange(8), alike(8))
     assert len(found.x) == 6
     assert found.log_evidence == pytest.approx(np.log(6.0))
+
+
+def test_states_whose_squares_overflow_are_numbers():
+    fine, every = finite_rows(np.full((2, 9), 1e200))
+    assert every and fine.all()
 
 
 def test_of_one_carrier_points_are_drawn():

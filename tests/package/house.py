@@ -53,7 +53,7 @@ BOUNDS = {
     "lines of sphfilter": 41_579,
     "lines of reference_filters": 5_016,
     "lines of experiments": 12_335,
-    "lines of tests": 30_537,  # and 1,559 that hold them to grids, closed forms, filterpy, and a wheel
+    "lines of tests": 30_541,  # and 1,559 that hold them to grids, closed forms, filterpy, and a wheel
     "  median length": 6,
     "  longer than 40 lines": 13,
     "  with more than 8 arguments": 10,

@@ -92,11 +92,11 @@ def finite_rows(x):
     """Which of states x (n, N) are numbers, (N,), and whether all are."""
     n, N = x.shape
     fine, numbers = np.ones(N, np.bool_), x.reshape(-1)
-    every = dot(numbers, numbers) < np.inf
+    every = dot(numbers, numbers) < np.inf  # else some are none, or squares overflow
     for a in range(0 if every else n):
         for i in range(N):
             fine[i] &= abs(x[a, i]) < np.inf
-    return fine, every
+    return fine, every or fine.all()
 
 
 @jit
